@@ -1,0 +1,38 @@
+# Every target makes its own environment when none is there. Arguments for the demo: make demo ARGS="--quick".
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := $(shell find pisplit models controllers -name '*.py')
+ARGS ?=
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/.package
+	$(BIN)/python scripts/mpc_demo.py $(ARGS)
+
+test: lint
+	$(BIN)/pytest $(ARGS)
+
+lint: $(VENV)/.package
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	cd tests && ../$(BIN)/mypy --config-file ../pyproject.toml --no-silence-site-packages -p pisplit
+	$(BIN)/mypy scripts
+
+bench: $(VENV)/.package
+	$(BIN)/python scripts/benchmark.py $(ARGS)
+
+# The package is installed, not linked: tests and scripts see what a user's pip install gives.
+$(VENV)/.package: $(VENV)/.dependencies $(SOURCES) README.md
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --force-reinstall .
+	rm -rf build
+	touch $@
+
+$(VENV)/.dependencies: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip setuptools wheel
+	$(BIN)/pip install --quiet ".[dev]"
+	touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis out

@@ -1,0 +1,1 @@
+"""Linear MPC on a lifted model and closed loops on a plant."""

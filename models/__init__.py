@@ -1,0 +1,1 @@
+"""Physical models: control systems with a known and an unknown part, rods, arms."""

@@ -1,0 +1,1 @@
+"""Cosserat-rod scenes in CasADi."""
