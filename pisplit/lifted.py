@@ -1,0 +1,278 @@
+"""The identified model: linear in the lifted state, ready for roll-outs and for MPC."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit import h5
+from pisplit.checks import finite_array, positive
+from pisplit.mapping import Mapped
+
+Array = NDArray[np.float64]
+
+KIND = "pisplit/lifted-model"
+DIVERGENCE_FACTOR = 1e3
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Open-loop prediction of one episode, or of E episodes (leading axis E on every field).
+
+    x            (T+1, n) states; from the step of divergence on they hold the last admissible value
+    z            (T+1, M) lifted states as computed (after divergence they may overflow)
+    diverged     True if z overflowed or a state left 1e3 times the training range
+    diverged_at  first such step, or None; for E episodes an integer array with -1 for "never"
+    """
+
+    x: Array
+    z: Array
+    diverged: bool | NDArray[np.bool_]
+    diverged_at: int | NDArray[np.int64] | None
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedModel:
+    """z+ = A z + B phi(u) + c,  y = C z + d, in physical units.
+
+    A (M, M), B (M, P), c (M,), C (n, M), d (n,), dt [s].
+    ``lift_function``: (x_history (n, D+1), u_history (m, D)) -> z (M,), columns are times, oldest first; x_history
+    holds x_{k-D}..x_k and u_history u_{k-D}..u_{k-1} with D = ``n_delays``.
+    ``input_function``: u (m,) -> phi (P,), the identity if the dictionary is linear in u.
+    ``outputs``: named groups of states, e.g. {"tip": (120, 121, 122)}.
+    ``input_offset`` (m,), ``input_basis`` (m, r): mean of the training inputs and an orthonormal basis of the
+    directions in which they vary; a controller keeps u in input_offset + span(input_basis): the data know no other.
+    ``state_range`` (n,): largest training magnitude per state; 1e3 times it counts as divergence.
+    ``provenance``: JSON-able facts about the origin of the model.
+
+    Raises ValueError for shapes that do not fit each other and for entries that are not finite.
+    """
+
+    A: Array
+    B: Array
+    c: Array
+    C: Array
+    d: Array
+    dt: float
+    lift_function: ca.Function
+    input_function: ca.Function
+    n_delays: int
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    column_names: tuple[str, ...]
+    feature_names: tuple[str, ...]
+    input_offset: Array
+    input_basis: Array
+    state_range: Array
+    outputs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.state_names), len(self.input_names)
+        columns, features = len(self.column_names), len(self.feature_names)
+        basis = np.asarray(self.input_basis)
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "A": (columns, columns),
+            "B": (columns, features),
+            "c": (columns,),
+            "C": (n, columns),
+            "d": (n,),
+            "input_offset": (m,),
+            "input_basis": (m, basis.shape[-1] if basis.ndim == 2 else None),
+            "state_range": (n,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, finite_array(getattr(self, name), name, shape))
+        positive(self.dt, "dt", "s")
+        history = (n, self.n_delays + 1), (m, self.n_delays)
+        _check_signature(self.lift_function, "lift_function", history, columns)
+        _check_signature(self.input_function, "input_function", ((m, 1),), features)
+        for name, indices in self.outputs.items():
+            if any(not 0 <= i < n for i in indices):
+                raise ValueError(f"outputs[{name!r}] = {tuple(indices)}; expected state indices from 0 to {n - 1}")
+        try:
+            json.dumps(dict(self.provenance))
+        except TypeError as error:
+            raise ValueError(f"provenance cannot be written as JSON: {error}; use numbers, texts, lists") from None
+
+    @property
+    def n_states(self) -> int:
+        """Number of states n."""
+        return len(self.state_names)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs m."""
+        return len(self.input_names)
+
+    @property
+    def n_lifted(self) -> int:
+        """Number of lifted states M."""
+        return len(self.column_names)
+
+    @property
+    def n_features(self) -> int:
+        """Number of input features P."""
+        return len(self.feature_names)
+
+    @cached_property
+    def linear_in_u(self) -> bool:
+        """True if phi(u) = u."""
+        if self.n_features != self.n_inputs:
+            return False
+        rng = np.random.default_rng(0)
+        probe = rng.standard_normal((8, self.n_inputs)) * np.logspace(-3, 3, 8)[:, None]
+        return bool(np.array_equal(self.features(probe), probe))
+
+    def lift(self, x_history: ArrayLike, u_history: ArrayLike | None = None) -> Array:
+        """z (M,) from x_history (D+1, n) and u_history (D, m), rows are times, newest last (D = n_delays).
+
+        Without delays a single state x (n,) is accepted and u_history may be left out.
+        """
+        delays = self.n_delays
+        states = np.asarray(x_history, dtype=np.float64)
+        if delays == 0 and states.ndim == 1:
+            states = states[None, :]
+        states = finite_array(states, "x_history", (delays + 1, self.n_states))
+        if u_history is None and delays == 0:
+            u_history = np.zeros((0, self.n_inputs))
+        inputs = finite_array(np.asarray(u_history, dtype=np.float64), "u_history", (delays, self.n_inputs))
+        return self._lift(states.reshape(1, -1), inputs.reshape(1, -1))[0]
+
+    def features(self, inputs: ArrayLike) -> Array:
+        """phi (N, P) of inputs (N, m)."""
+        return self._features(finite_array(inputs, "U", (None, self.n_inputs)))
+
+    def feature_jacobian(self, inputs: ArrayLike) -> Array:
+        """d phi / d u (N, P, m) at inputs (N, m)."""
+        points = finite_array(inputs, "U", (None, self.n_inputs))
+        flat = self._jacobian(points)
+        return flat.reshape(len(points), self.n_inputs, self.n_features).transpose(0, 2, 1)
+
+    def step(self, z: ArrayLike, u: ArrayLike) -> Array:
+        """One step z (M,) -> z+ (M,) under the input u (m,)."""
+        features = self.features(np.asarray(u, dtype=np.float64)[None, :])[0]
+        return self.A @ np.asarray(z, dtype=np.float64) + self.B @ features + self.c
+
+    def read(self, z: ArrayLike) -> Array:
+        """States y (..., n) of lifted states z (..., M)."""
+        return np.asarray(z, dtype=np.float64) @ self.C.T + self.d
+
+    def rollout(self, z0: ArrayLike, inputs: ArrayLike) -> Rollout:
+        """Predict T steps from z0 (M,) under inputs (T, m), or E episodes at once from (E, M) under (E, T, m)."""
+        start = np.asarray(z0, dtype=np.float64)
+        if start.ndim == 2:
+            start = finite_array(start, "z0", (None, self.n_lifted))
+            return self._rollout_many(start, finite_array(inputs, "U", (len(start), None, self.n_inputs)))
+        start = finite_array(start, "z0", (self.n_lifted,))
+        batch = self._rollout_many(start[None], finite_array(inputs, "U", (None, self.n_inputs))[None])
+        at = int(np.asarray(batch.diverged_at)[0])
+        return Rollout(x=batch.x[0], z=batch.z[0], diverged=at >= 0, diverged_at=at if at >= 0 else None)
+
+    def predict(self, x_history: ArrayLike, u_history: ArrayLike | None, inputs: ArrayLike) -> Rollout:
+        """Lift the history, then roll out under inputs (T, m)."""
+        return self.rollout(self.lift(x_history, u_history), inputs)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model to an HDF5 file, whole or not at all."""
+        with h5.writing(path, KIND) as file:
+            for name in _ARRAYS:
+                file[name] = getattr(self, name)
+            for name in _FUNCTIONS:
+                h5.write_text(file, name, getattr(self, name).serialize())
+            for name in _NAMES:
+                h5.write_strings(file, name, getattr(self, name))
+            file.attrs["dt"] = self.dt
+            file.attrs["n_delays"] = self.n_delays
+            h5.write_json(file, "outputs", {name: [int(i) for i in group] for name, group in self.outputs.items()})
+            h5.write_json(file, "provenance", dict(self.provenance))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> LiftedModel:
+        """Read a saved model. Raises one line for files that are missing, truncated or of another kind."""
+        with h5.reading(path, KIND) as file:
+            return cls(
+                **{name: np.asarray(file[name][()]) for name in _ARRAYS},
+                **{name: ca.Function.deserialize(h5.read_text(file, name)) for name in _FUNCTIONS},
+                **{name: h5.read_strings(file, name) for name in _NAMES},
+                dt=float(file.attrs["dt"]),
+                n_delays=int(file.attrs["n_delays"]),
+                outputs={name: tuple(group) for name, group in h5.read_json(file, "outputs").items()},
+                provenance=h5.read_json(file, "provenance"),
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {item.name: self.__dict__[item.name] for item in fields(self)}  # evaluators are rebuilt, not pickled
+
+    @cached_property
+    def _lift(self) -> Mapped:
+        return Mapped(self.lift_function)
+
+    @cached_property
+    def _features(self) -> Mapped:
+        return Mapped(self.input_function)
+
+    @cached_property
+    def _jacobian(self) -> Mapped:
+        u = ca.MX.sym("u", self.n_inputs)
+        return Mapped(ca.Function("feature_jacobian", [u], [ca.densify(ca.jacobian(self.input_function(u), u))]))
+
+    def _rollout_many(self, start: Array, inputs: Array) -> Rollout:
+        episodes, steps = inputs.shape[:2]
+        features = self.features(inputs.reshape(-1, self.n_inputs)).reshape(episodes, steps, -1)
+        # All inputs act through one product before the loop: a step is then one product with A and one sum.
+        z = np.empty((steps + 1, episodes, self.n_lifted))
+        z[0] = start
+        z[1:] = (features @ self.B.T + self.c).transpose(1, 0, 2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if episodes == 1:
+                _propagate_one(self.A, z[:, 0])
+            else:
+                _propagate(np.ascontiguousarray(self.A.T), z)
+            x = (z @ self.C.T + self.d).transpose(1, 0, 2)
+            z = z.transpose(1, 0, 2)
+            admissible = np.isfinite(z).all(axis=2) & (np.abs(x) <= DIVERGENCE_FACTOR * self.state_range).all(axis=2)
+        at = np.where(admissible.all(axis=1), -1, np.argmin(admissible, axis=1))
+        x = np.ascontiguousarray(x)
+        for episode in np.flatnonzero(at >= 0):
+            x[episode, at[episode] :] = x[episode, max(at[episode] - 1, 0)]
+        return Rollout(x=x, z=z, diverged=at >= 0, diverged_at=at.astype(np.int64))
+
+
+_ARRAYS = ("A", "B", "c", "C", "d", "input_offset", "input_basis", "state_range")
+_FUNCTIONS = ("lift_function", "input_function")
+_NAMES = ("state_names", "input_names", "column_names", "feature_names")
+
+
+def _propagate_one(transition: Array, z: Array) -> None:
+    """z_{k+1} += A z_k for one episode, z (T+1, M) holds the forcing on entry."""
+    dot = transition.dot
+    previous = z[0]
+    for current in z[1:]:
+        current += dot(previous)
+        previous = current
+
+
+def _propagate(transition_transposed: Array, z: Array) -> None:
+    """The same for E episodes side by side, z (T+1, E, M)."""
+    for k in range(len(z) - 1):
+        z[k + 1] += z[k] @ transition_transposed
+
+
+def _check_signature(function: ca.Function, name: str, shapes: tuple[tuple[int, int], ...], rows: int) -> None:
+    if not isinstance(function, ca.Function):
+        raise ValueError(f"{name} is a {type(function).__name__}; expected a casadi.Function")
+    given = tuple(function.size_in(i) for i in range(function.n_in()))
+    if given != shapes or function.n_out() != 1 or function.size_out(0) != (rows, 1):
+        raise ValueError(
+            f"{name} maps {given} to {[function.size_out(i) for i in range(function.n_out())]}; "
+            f"expected {shapes} to [({rows}, 1)]"
+        )
