@@ -19,6 +19,7 @@ class Mapped:
     A matrix argument (r, c) of the function is given column after column, i.e. row i of the argument is the
     C-ordered flattening of its transpose (times as rows). Samples go through one mapped function in blocks,
     with CasADi's buffer interface, which costs microseconds where converting to DM costs a hundred.
+    Raises ValueError if the function fails on a sample (a rootfinder that does not converge).
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -31,7 +32,12 @@ class Mapped:
         result = np.empty((n, self._n_out))
         for first in range(0, n, BLOCK):
             last = min(first + BLOCK, n)
-            self._evaluator(last - first)([argument[first:last] for argument in arguments], result[first:last])
+            try:
+                self._evaluator(last - first)([argument[first:last] for argument in arguments], result[first:last])
+            except RuntimeError as error:
+                reason = str(error).strip().splitlines()[-1]
+                name = self._function.name()
+                raise ValueError(f"{name} cannot be evaluated on samples {first} to {last - 1}: {reason}") from None
         return result
 
     def _evaluator(self, n: int) -> _Evaluator:
