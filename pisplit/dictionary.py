@@ -1,0 +1,315 @@
+"""The dictionary Theta(x, u) of the paper: named columns, compiled in CasADi, evaluated in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.checks import count
+from pisplit.mapping import Mapped
+from pisplit.observables import Columns, Constant, Delays, Identity, Names, Observable, States
+
+if TYPE_CHECKING:
+    from pisplit.episodes import Episodes, Pairs
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The columns of one part (state or input) as one CasADi Function, with names and quantities."""
+
+    function: ca.Function
+    names: tuple[str, ...]
+    quantities: tuple[str, ...]
+
+
+class Dictionary:
+    """Theta = [psi; phi]: psi (M_z columns) are functions of the states and past inputs, phi (P columns) of u_k.
+
+    psi holds first the columns that the observables write for x_k ("present" columns), then x_{k-1}..x_{k-d}, then
+    phi(u_{k-1})..phi(u_{k-j}), as :class:`pisplit.observables.Delays` asks. ``quantities`` and ``input_quantities``
+    name the physical quantity of each state and input (scaling groups; default: each state its own, all inputs "u").
+    Names and quantities left out are taken from the training episodes when an estimator is fitted.
+
+    Raises ValueError for no observables, repeated columns, more than one Delays, and delayed states without states.
+    """
+
+    def __init__(
+        self,
+        *observables: Observable | Delays,
+        n_states: int,
+        n_inputs: int,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        quantities: Sequence[str] | None = None,
+        input_quantities: Sequence[str] | None = None,
+    ) -> None:
+        self.n_states = count(n_states, "n_states")
+        self.n_inputs = count(n_inputs, "n_inputs", minimum=0)
+        self.observables = observables
+        self._given = (state_names, input_names, quantities, input_quantities)
+        states = _named(state_names, "state_names", [f"x{i + 1}" for i in range(n_states)])
+        inputs = _named(input_names, "input_names", [f"u{i + 1}" for i in range(n_inputs)])
+        self.names = Names(
+            states=states,
+            inputs=inputs,
+            quantities=_named(quantities, "quantities", states),
+            input_quantities=_named(input_quantities, "input_quantities", ["u"] * n_inputs),
+        )
+        delays = [o for o in observables if isinstance(o, Delays)]
+        if len(delays) > 1:
+            raise ValueError(f"{len(delays)} Delays given; expected one, with the longest delays wanted")
+        present = [o for o in observables if not isinstance(o, Delays)]
+        for observable in present:
+            if isinstance(observable, type) or not hasattr(observable, "state_columns"):
+                raise ValueError(f"{observable!r} is no observable; use those of pisplit.observables, with parentheses")
+        self.state_delays, self.input_delays = (delays[0].states, delays[0].inputs) if delays else (0, 0)
+        self._state_part = _compile("x", n_states, [o.state_columns for o in present], self.names)
+        self._input_part = _compile("u", n_inputs, [o.input_columns for o in present], self.names)
+        if not self._state_part.names:
+            raise ValueError("the dictionary has no column that depends on the state; add ob.States() or ob.Identity()")
+        repeated = sorted({name for name in self.column_names if self.column_names.count(name) > 1})
+        if repeated:
+            raise ValueError(
+                f"the dictionary holds {', '.join(repeated[:5])} more than once; drop or rename one of them"
+            )
+        if self.state_delays and self._state_columns is None:
+            raise ValueError("delayed states need the states themselves as columns; add ob.States() or ob.Identity()")
+
+    def __repr__(self) -> str:
+        return f"Dictionary({', '.join(map(repr, self.observables))}: {self.n_lifted} + {self.n_features} columns)"
+
+    @property
+    def n_delays(self) -> int:
+        """Steps of history that a lift needs, D = max(state delays, input delays)."""
+        return max(self.state_delays, self.input_delays)
+
+    @property
+    def n_present(self) -> int:
+        """Columns of psi that are functions of x_k; they come first."""
+        return len(self._state_part.names)
+
+    @property
+    def n_lifted(self) -> int:
+        """M_z, columns of psi."""
+        return self.n_present + self.state_delays * self.n_states + self.input_delays * self.n_features
+
+    @property
+    def n_features(self) -> int:
+        """P, columns of phi."""
+        return len(self._input_part.names)
+
+    @property
+    def n_columns(self) -> int:
+        """M = M_z + P, columns of Theta."""
+        return self.n_lifted + self.n_features
+
+    @cached_property
+    def column_names(self) -> tuple[str, ...]:
+        """Names of all columns of Theta: psi, then phi."""
+        return self._labels(self._state_part.names, self.names.states, self._input_part.names, "{}[k-{}]")
+
+    @cached_property
+    def column_quantities(self) -> tuple[str, ...]:
+        """Physical quantity of every column: columns of one quantity share one scale."""
+        return self._labels(self._state_part.quantities, self.names.quantities, self._input_part.quantities, "{}")
+
+    @property
+    def lifted_names(self) -> tuple[str, ...]:
+        """Names of the columns of psi."""
+        return self.column_names[: self.n_lifted]
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """Names of the columns of phi."""
+        return self._input_part.names
+
+    @property
+    def constant_column(self) -> int | None:
+        """Position of the column 1, or None."""
+        return self._state_part.names.index("1") if any(isinstance(o, Constant) for o in self.observables) else None
+
+    @cached_property
+    def learned_columns(self) -> NDArray[np.int64]:
+        """Columns of psi whose dynamics are identified: all present ones but the constant (delays shift exactly)."""
+        return np.array([i for i in range(self.n_present) if i != self.constant_column], dtype=np.int64)
+
+    @property
+    def input_function(self) -> ca.Function:
+        """phi: u (m,) -> (P,)."""
+        return self._input_part.function
+
+    @cached_property
+    def lift_function(self) -> ca.Function:
+        """psi: (x_history (n, D+1), u_history (m, D)) -> z (M_z,), columns are times, oldest first."""
+        kind = (
+            ca.SX if self._state_part.function.is_a("SXFunction") and self.input_function.is_a("SXFunction") else ca.MX
+        )
+        last = self.n_delays
+        x = kind.sym("x_history", self.n_states, last + 1)
+        u = kind.sym("u_history", self.n_inputs, last)
+        parts = [self._state_part.function(x[:, last])]
+        parts += [x[:, last - j] for j in range(1, self.state_delays + 1)]
+        parts += [self.input_function(u[:, last - j]) for j in range(1, self.input_delays + 1)]
+        return ca.Function("lift", [x, u], [ca.densify(ca.vertcat(*parts))])
+
+    @property
+    def invert(self) -> Array | None:
+        """C (n, M_z) with x = C psi, exact, when every state is a column; else None."""
+        if self._state_columns is None:
+            return None
+        selection = np.zeros((self.n_states, self.n_lifted))
+        selection[np.arange(self.n_states), self._state_columns] = 1.0
+        return selection
+
+    def evaluate(self, pairs: Pairs) -> Array:
+        """Theta (N, M) = [psi_k, phi(u_k)] of snapshot pairs."""
+        return np.hstack([self._psi(pairs.x, pairs.x_history, pairs.u_history), self.features(pairs.u)])
+
+    def next(self, pairs: Pairs) -> Array:
+        """psi (N, M_z) one step later: the history shifted, x_{k+1} and u_k at its end."""
+        x_next, states, inputs = pairs.x_next, pairs.x_history, pairs.u_history
+        states = np.concatenate([states[:, 1:], x_next[:, None]], axis=1)
+        inputs = np.concatenate([inputs, pairs.u[:, None]], axis=1)[:, 1:] if self.n_delays else inputs
+        return self._psi(x_next, states, inputs)
+
+    def present(self, states: Array) -> Array:
+        """The present columns of psi (N, n_present) at states (N, n)."""
+        return self._present(states)
+
+    def features(self, inputs: Array) -> Array:
+        """phi (N, P) at inputs (N, m)."""
+        return self._features(inputs)
+
+    def evaluate_static(self, states: Array, inputs: Array) -> Array:
+        """Theta (N, M) at phase-space samples: the past equals the present."""
+        history = np.broadcast_to(states[:, None], (len(states), self.n_delays + 1, self.n_states))
+        past = np.broadcast_to(inputs[:, None], (len(inputs), self.n_delays, self.n_inputs))
+        return np.hstack([self._psi(states, history, past), self.features(inputs)])
+
+    def lie_derivative(self, states: Array, inputs: Array, velocities: Array) -> Array:
+        """J_x Theta . f (N, M) at states (N, n) with f = velocities (N, n) (paper, eq. jacob_solve).
+
+        One forward-mode product a sample. Inputs and delays do not move with f: their columns are zero.
+        """
+        derivative = np.zeros((len(states), self.n_columns))
+        derivative[:, : self.n_present] = self.present_derivative(states, velocities)
+        return derivative
+
+    def present_derivative(self, states: Array, velocities: Array) -> Array:
+        """Lie derivative (N, n_present) of the present columns alone."""
+        return self._derivative(states, velocities)
+
+    def named_after(self, episodes: Episodes) -> Dictionary:
+        """The same dictionary with names and quantities of the episodes where none were given.
+
+        Raises ValueError if numbers of states or inputs, or names that were given, differ from those of the episodes.
+        """
+        given = (self.n_states, self.n_inputs)
+        if given != (episodes.n_states, episodes.n_inputs):
+            raise ValueError(
+                f"the dictionary is for {given[0]} states and {given[1]} inputs; "
+                f"the episodes have {episodes.n_states} and {episodes.n_inputs}"
+            )
+        state_names, input_names, quantities, input_quantities = self._given
+        for mine, theirs, what in (
+            (state_names, episodes.state_names, "states"),
+            (input_names, episodes.input_names, "inputs"),
+        ):
+            if mine is not None and theirs is not None and tuple(mine) != tuple(theirs):
+                raise ValueError(f"the dictionary names its {what} {tuple(mine)[:4]}; the episodes {tuple(theirs)[:4]}")
+        return Dictionary(
+            *self.observables,
+            n_states=self.n_states,
+            n_inputs=self.n_inputs,
+            state_names=episodes.state_names,
+            input_names=episodes.input_names,
+            quantities=episodes.quantities if quantities is None else quantities,
+            input_quantities=input_quantities,
+        )
+
+    def _psi(self, states: Array, x_history: Array, u_history: Array) -> Array:
+        n, last = len(states), self.n_delays
+        psi = np.empty((n, self.n_lifted))
+        psi[:, : self.n_present] = self._present(states)
+        at = self.n_present
+        for j in range(1, self.state_delays + 1):
+            psi[:, at : at + self.n_states] = x_history[:, last - j]
+            at += self.n_states
+        for j in range(1, self.input_delays + 1):
+            psi[:, at : at + self.n_features] = self._features(np.ascontiguousarray(u_history[:, last - j]))
+            at += self.n_features
+        return psi
+
+    def _labels(
+        self, present: Sequence[str], states: Sequence[str], features: Sequence[str], form: str
+    ) -> tuple[str, ...]:
+        delayed = [form.format(label, j) for j in range(1, self.state_delays + 1) for label in states]
+        past = [form.format(label, j) for j in range(1, self.input_delays + 1) for label in features]
+        return (*present, *delayed, *past, *features)
+
+    @cached_property
+    def _state_columns(self) -> NDArray[np.int64] | None:
+        """Positions of the states among the present columns, or None if they are not there."""
+        if not any(isinstance(o, States | Identity) for o in self.observables):
+            return None
+        names = self._state_part.names
+        return np.array([names.index(name) for name in self.names.states], dtype=np.int64)
+
+    @cached_property
+    def _present(self) -> Mapped:
+        return Mapped(self._state_part.function)
+
+    @cached_property
+    def _features(self) -> Mapped:
+        return Mapped(self._input_part.function)
+
+    @cached_property
+    def _derivative(self) -> Mapped:
+        function = self._state_part.function
+        kind = ca.SX if function.is_a("SXFunction") else ca.MX
+        x, v = kind.sym("x", self.n_states), kind.sym("v", self.n_states)
+        return Mapped(ca.Function("lie_derivative", [x, v], [ca.densify(ca.jtimes(function(x), x, v))]))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k not in ("_present", "_features", "_derivative")}
+
+
+def _compile(letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names) -> _Part:
+    """Write all columns of one part in SX, which evaluates fastest, or in MX if one of them cannot be."""
+    try:
+        return _compile_as(ca.SX, letter, size, writers, names)
+    except (RuntimeError, NotImplementedError):
+        pass
+    try:
+        return _compile_as(ca.MX, letter, size, writers, names)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ValueError(f"an observable of {letter} ({size},) cannot be written in CasADi: {reason}") from None
+
+
+def _compile_as(
+    kind: Any, letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names
+) -> _Part:
+    symbol = kind.sym(letter, size)
+    columns = [part for part in (write(symbol, names) for write in writers) if part is not None]
+    values = ca.densify(ca.vertcat(*[part.values for part in columns])) if columns else kind(0, 1)
+    return _Part(
+        function=ca.Function(f"columns_of_{letter}", [symbol], [values]),
+        names=tuple(name for part in columns for name in part.names),
+        quantities=tuple(quantity for part in columns for quantity in part.quantities),
+    )
+
+
+def _named(given: Sequence[str] | None, what: str, default: Sequence[str]) -> tuple[str, ...]:
+    names = tuple(default if given is None else given)
+    if len(names) != len(default):
+        raise ValueError(f"{what} has {len(names)} entries; expected {len(default)}")
+    return names
