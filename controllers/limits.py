@@ -1,0 +1,104 @@
+"""Input box, rate limits and the plane of inputs that the model knows; projection of a move onto all three."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, finite_array
+
+SPAN_TOLERANCE = 1e-10  # distance in half box widths at which an input counts as in offset + span(basis)
+
+
+@dataclass(frozen=True)
+class InputLimits:
+    """u_min <= u <= u_max, |u_k - u_{k-1}| <= du_max and u in offset + span(basis); all (m,), basis (m, r) orthonormal.
+
+    Build it with ``input_limits``, which checks the arguments.
+    """
+
+    u_min: Array
+    u_max: Array
+    du_max: Array
+    offset: Array
+    basis: Array
+
+    @property
+    def amplitude(self) -> Array:
+        """Half width (m,) of the box: the unit in which moves are weighed."""
+        return 0.5 * (self.u_max - self.u_min)
+
+    def coordinates(self, u: Array) -> Array:
+        """Coordinates (r,) of the input nearest to u that is inside both the box and the plane."""
+        nearest = self._into(u, self.u_min, self.u_max)
+        return self.basis.T @ ((self._on_plane(u) if nearest is None else nearest) - self.offset)
+
+    def project(self, u: Array, u_previous: Array) -> Array:
+        """The input (m,) to apply instead of u after u_previous: no limit is violated, not even by a rounding error.
+
+        In the plane when u_previous is; otherwise as near to the plane as the rate limits let one step come.
+        """
+        low = np.maximum(self.u_min, u_previous - self.du_max)
+        high = np.minimum(self.u_max, u_previous + self.du_max)
+        if np.abs(self._on_plane(u_previous) - u_previous).max() <= 10 * SPAN_TOLERANCE * self.amplitude.max():
+            inside = self._into(u, low, high)
+            if inside is not None:
+                return inside
+        goal = self._into(u, self.u_min, self.u_max)
+        move = (np.clip(u, self.u_min, self.u_max) if goal is None else goal) - u_previous
+        move *= min(1.0, 1.0 / max(float((np.abs(move) / self.du_max).max()), 1e-300))
+        return np.clip(u_previous + move, low, high)
+
+    def _on_plane(self, u: Array) -> Array:
+        return self.offset + self.basis @ (self.basis.T @ (u - self.offset))
+
+    def _into(self, u: Array, low: Array, high: Array) -> Array | None:
+        """A point of the box [low, high] on the plane, near u, by alternating projections; None if there is none."""
+        tolerance = SPAN_TOLERANCE * self.amplitude.max()
+        for _ in range(200):
+            inside = np.clip(u, low, high)
+            u = self._on_plane(inside)
+            if np.abs(u - inside).max() <= tolerance:
+                return inside
+        return None
+
+
+def input_limits(
+    u_min: ArrayLike,
+    u_max: ArrayLike,
+    du_max: ArrayLike,
+    n_inputs: int,
+    offset: Array | None = None,
+    basis: Array | None = None,
+) -> InputLimits:
+    """Limits for ``n_inputs`` inputs, numbers or (m,), in input units (du_max per step), with or without a plane.
+
+    Raises ValueError on wrong lengths, an empty box, du_max <= 0, or a box that the plane offset + span(basis) misses.
+    """
+    low, high, rate = (
+        _each_input(value, name, n_inputs) for value, name in ((u_min, "u_min"), (u_max, "u_max"), (du_max, "du_max"))
+    )
+    if (low >= high).any():
+        i = int(np.argmax(low >= high))
+        raise ValueError(f"u_min = {low[i]:g} is not below u_max = {high[i]:g} for input {i}; give a box with width")
+    if (rate <= 0.0).any():
+        raise ValueError(f"du_max = {rate.min():g}; expected a positive change per step for every input")
+    centre = np.zeros(n_inputs) if offset is None else finite_array(offset, "input_offset", (n_inputs,))
+    if basis is None or basis.shape[1] == n_inputs:  # the plane is the whole space: plain coordinates, plain bounds
+        return InputLimits(low, high, rate, centre, np.eye(n_inputs))
+    if basis.shape[1] == 0:
+        raise ValueError("the model has an empty input_basis: its training inputs never changed; excite the inputs")
+    limits = InputLimits(low, high, rate, centre, basis)
+    if limits._into(centre, low, high) is None:
+        raise ValueError(
+            f"the box u_min .. u_max contains no input of the training data (their mean: {centre}); widen the box"
+        )
+    return limits
+
+
+def _each_input(value: ArrayLike, name: str, n_inputs: int) -> Array:
+    if np.ndim(value) == 0:
+        value = np.full(n_inputs, value)
+    return finite_array(value, name, (n_inputs,)).copy()

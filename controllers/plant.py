@@ -1,0 +1,41 @@
+"""What a closed loop needs of a plant: a simulator or the real arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array
+
+
+@dataclass(frozen=True)
+class PlantStep:
+    """State (n_states,) measured after one step. ``ok`` False: the step failed, and ``message`` says why."""
+
+    state: Array
+    ok: bool = True
+    message: str = ""
+
+
+class Plant(Protocol):
+    """A system that is stepped with inputs (n_inputs,) over ``dt`` seconds and measures states (n_states,)."""
+
+    @property
+    def dt(self) -> float:
+        """Time step [s]."""
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+
+    @property
+    def n_states(self) -> int:
+        """Number of measured states."""
+
+    def reset(self, u0: ArrayLike | None = None) -> Array:
+        """Back to rest, in equilibrium under u0 (zeros if not given); returns the measured state (n_states,)."""
+
+    def step(self, u: Array) -> PlantStep:
+        """Apply u (n_inputs,) over one time step."""
