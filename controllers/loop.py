@@ -127,7 +127,7 @@ class ClosedLoop:
             moves.append(move)
             u.append(move.u)
             state = np.asarray(after.state, dtype=np.float64)
-            problem = after.message or "reports a failed step" if not after.ok else _fault(state, controller)
+            problem = f"failed: {after.message or 'no reason given'}" if not after.ok else _fault(state, controller)
             if problem:
                 message = f"step {k + 1} of {N} (t = {(k + 1) * dt:.3f} s): the plant {problem}"
                 # The input that broke the plant belongs to no completed step.

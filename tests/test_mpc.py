@@ -1,0 +1,260 @@
+"""MPC: optimal where the QP is solved, admissible always."""
+
+import casadi as ca
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pisplit.controllers import MPC, QPSettings
+from pisplit.controllers.qp import QP
+from pisplit.lifted import LiftedModel
+
+DIFFERENTIAL = np.linalg.svd(np.eye(3) - 1.0 / 3.0)[0][:, :2]  # three tendons without a common pull
+EXACT = QPSettings(eps=1e-8, max_iterations=100_000, first_max_iterations=100_000)
+
+
+def arm_model(seed: int = 0, n: int = 6, basis: np.ndarray = DIFFERENTIAL, radius: float = 0.95) -> LiftedModel:
+    """Random stable model without delays, three inputs of a centimetre moving outputs by about ten."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    A *= radius / np.abs(np.linalg.eigvals(A)).max()
+    x, v, u = ca.SX.sym("x", n), ca.SX.sym("v", 3, 0), ca.SX.sym("u", 3)
+    return LiftedModel(
+        A=A,
+        B=2.0 * rng.standard_normal((n, 3)),
+        c=1e-3 * rng.standard_normal(n),
+        C=np.eye(n),
+        d=np.zeros(n),
+        dt=0.03,
+        lift_function=ca.Function("lift", [x, v], [x]),
+        input_function=ca.Function("phi", [u], [u]),
+        n_delays=0,
+        state_names=tuple(f"x{i}" for i in range(n)),
+        input_names=("u1", "u2", "u3"),
+        column_names=tuple(f"x{i}" for i in range(n)),
+        feature_names=("u1", "u2", "u3"),
+        input_offset=np.array([0.001, 0.001, 0.001]),
+        input_basis=basis,
+        state_range=np.ones(n),
+        outputs={"tip": (0, 1, 2)},
+    )
+
+
+def optimal_inputs(
+    model: LiftedModel,
+    x: np.ndarray,
+    r: np.ndarray,
+    u0: np.ndarray,
+    limits: tuple[float, float, float],
+    **options: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The MPC problem as its docstring states it, with states, solved by an interior-point method."""
+    (low, high, rate), H, n = limits, len(r), model.n_states
+    amplitude, tip = (high - low) / 2, [0, 1, 2]
+    X, U, s = cp.Variable((H + 1, n)), cp.Variable((H, 3)), cp.Variable(H)
+    v = cp.Variable((H, model.input_basis.shape[1]))
+    moves = cp.diff(cp.vstack([u0[None, :], U]), axis=0)
+    rules = [X[0] == x, low <= U, high >= U, cp.abs(moves) <= rate, s >= 0]
+    rules += [np.tile(model.input_offset, (H, 1)) + v @ model.input_basis.T == U]
+    rules += [X[j + 1] == model.A @ X[j] + model.B @ U[j] + model.c for j in range(H)]
+    if "y_max" in options:
+        rules += [X[1:, tip] <= options["y_max"] + cp.reshape(s, (H, 1), order="C") @ np.ones((1, 3))]
+    cost = cp.sum_squares(1e3 * (X[1:, tip] - r)) + 1e4 * cp.sum_squares(moves / amplitude)
+    cost += 10.0 * cp.sum_squares((U - np.tile(model.input_offset, (H, 1))) / amplitude)
+    problem = cp.Problem(cp.Minimize((cost + 1e3 * cp.sum_squares(1e3 * s)) / 1e4), rules)
+    problem.solve(solver=cp.CLARABEL)
+    return np.asarray(U.value), np.asarray(X.value)[1:, tip]
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("options", [{}, {"y_max": 0.02}], ids=["inputs", "soft outputs"])
+def test_moves_solve_the_stated_problem(seed: int, options: dict[str, float]) -> None:
+    rng = np.random.default_rng(seed)
+    model = arm_model(seed, basis=DIFFERENTIAL if seed % 2 else np.eye(3))
+    H, limits = 8, (-0.01, 0.012, 0.004)
+    x, r = 0.03 * rng.standard_normal(6), 0.1 * rng.standard_normal(3) + 0.02 * rng.standard_normal((H, 3))
+    u0 = model.input_offset
+    mpc = MPC(model, H, *limits, rate_weight=1e4, input_weight=10.0, qp=EXACT, **options)
+    mpc.reset(u0)
+    move = mpc.step(x, r)
+    U, y = optimal_inputs(model, x, r, u0, limits, **options)
+    assert move.status == "solved" and not move.fallback
+    np.testing.assert_allclose(move.u, U[0], atol=2e-6)
+    np.testing.assert_allclose(move.predicted, y, atol=2e-5)
+    active = np.isclose(np.abs(np.diff(U, axis=0, prepend=u0[None])), limits[2], atol=1e-6).any()
+    assert active or np.isclose(U, limits[0], atol=1e-6).any() or np.isclose(U, limits[1], atol=1e-6).any()
+
+
+def test_a_free_output_weighs_nothing() -> None:
+    model, rng = arm_model(3), np.random.default_rng(0)
+    full = MPC(model, 10, -0.01, 0.01, 0.003, qp=EXACT)
+    two = MPC(model, 10, -0.01, 0.01, 0.003, axes=(0, 2), qp=EXACT)
+    for mpc in (full, two):
+        mpc.reset(model.input_offset)
+    for _ in range(3):
+        x, r = 0.02 * rng.standard_normal(6), 0.03 * rng.standard_normal((10, 3))
+        r[:, 1] = np.nan
+        np.testing.assert_allclose(full.step(x, r).u, two.step(x, r[:, [0, 2]]).u, atol=1e-7)
+    x, r = 0.02 * rng.standard_normal(6), 0.03 * rng.standard_normal((10, 3))  # specified again
+    fresh = MPC(model, 10, -0.01, 0.01, 0.003, qp=EXACT, estimator_gain=0.0)
+    again = MPC(model, 10, -0.01, 0.01, 0.003, qp=EXACT, estimator_gain=0.0)
+    for mpc in (fresh, again):
+        mpc.reset(model.input_offset)
+    again.step(x, np.full((10, 3), np.nan))  # nothing to track: the input stays
+    np.testing.assert_allclose(again.step(x, r).u, fresh.step(x, r).u, atol=1e-7)
+
+
+def test_new_values_equal_a_new_problem() -> None:
+    rng = np.random.default_rng(0)
+    n, k = 5, 8
+    pattern = np.ones((k, n), dtype=bool)
+    F = rng.standard_normal((n, n))
+    A = np.zeros((k, n))
+    A[:, 0] = 1.0
+    old = QP(np.eye(n), A, np.ones((n, n), dtype=bool), pattern, EXACT)
+    bound = np.ones(k)
+    old.solve(np.ones(n), -bound, bound)
+    P, A, q = F @ F.T + np.eye(n), rng.standard_normal((k, n)), 5 * rng.standard_normal(n)
+    new = QP(P, A, settings=EXACT)
+    x_old, x_new = old.solve(q, -bound, bound, P, A).x, new.solve(q, -bound, bound).x
+    assert x_old is not None and x_new is not None
+    np.testing.assert_allclose(x_old, x_new, atol=1e-6)
+
+
+def test_an_infeasible_problem_has_no_solution_and_leaves_no_trace() -> None:
+    qp = QP(np.eye(2), np.array([[1.0, 1.0], [1.0, 1.0]]))
+    lower, upper = np.array([1.0, -5.0]), np.array([5.0, -1.0])  # the sum is both >= 1 and <= -1
+    result = qp.solve(np.zeros(2), lower, upper)
+    assert "infeasible" in result.status and result.x is None
+    again = qp.solve(np.zeros(2), np.array([1.0, -5.0]), np.array([5.0, 5.0]))
+    assert again.status == "solved" and again.x is not None
+    np.testing.assert_allclose(again.x, [0.5, 0.5], atol=1e-3)
+    assert qp.solve(np.zeros(2), np.ones(2), -np.ones(2)).status == "bounds crossed"
+    assert qp.solve(np.array([np.nan, 0.0]), -np.ones(2), np.ones(2)).x is None
+
+
+def test_without_a_solution_the_last_plan_goes_on_and_then_holds() -> None:
+    """One iteration cannot solve a reversed demand: what was planned is applied, flagged, to its end."""
+    model, H = arm_model(1), 6
+    mpc = MPC(model, H, -0.01, 0.01, 0.002, rate_weight=1.0, estimator_gain=0.0, qp=QPSettings(max_iterations=1))
+    u0 = model.input_offset
+    mpc.reset(u0)
+    x = np.zeros(6)
+    first = mpc.step(x, np.tile([0.2, 0.1, 0.0], (H, 1)))
+    assert not first.fallback
+    expected, u = first.predicted, first.u
+    for k in range(H + 2):
+        x = model.step(x, u)
+        move = mpc.step(x, np.tile([-20.0, 15.0, 3.0], (H, 1)))
+        assert move.fallback and move.status == "maximum iterations reached"
+        np.testing.assert_allclose(move.predicted[:-1], expected[1:], atol=2e-4)
+        if k >= H:
+            np.testing.assert_allclose(move.u, u, atol=1e-9)
+        expected, u = move.predicted, move.u
+
+
+def test_a_lift_that_overflows_is_a_fallback_and_is_forgotten() -> None:
+    base = arm_model(2)
+    x, v = ca.SX.sym("x", 6), ca.SX.sym("v", 3, 0)
+    fields = {name: getattr(base, name) for name in base.__dataclass_fields__}
+    lift = ca.Function("lift", [x, v], [ca.vertcat(x[:5], ca.exp(x[5]) - 1)])
+    model = LiftedModel(**(fields | {"lift_function": lift}))
+    mpc = MPC(model, 6, -0.01, 0.01, 0.002)
+    mpc.reset(model.input_offset)
+    r = np.full((6, 3), 0.02)
+    mpc.step(np.zeros(6), r)
+    broken = mpc.step(np.array([0, 0, 0, 0, 0, 1e4]), r)
+    assert broken.fallback and broken.status == "cost not finite" and np.isfinite(broken.u).all()
+    assert np.isfinite(mpc.disturbance).all()
+    assert not mpc.step(np.zeros(6), r).fallback
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    size=st.floats(1e-3, 1e3),
+    rate=st.floats(1e-4, 2e-2),
+    on_plane=st.booleans(),
+    weight=st.sampled_from([0.0, 10.0, 1e4]),
+)
+def test_applied_inputs_never_leave_the_limits(
+    seed: int, size: float, rate: float, on_plane: bool, weight: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    model = arm_model(seed % 5)
+    low, high = np.array([-0.01, -0.008, -0.002]), np.array([0.01, 0.004, 0.01])
+    mpc = MPC(model, 5, low, high, rate, rate_weight=weight, qp=QPSettings(max_iterations=20, first_max_iterations=50))
+    u = model.input_offset if on_plane else rng.uniform(low, high)
+    mpc.reset(u)
+    distance = []
+    for _ in range(12):
+        move = mpc.step(size * rng.standard_normal(6), size * rng.standard_normal((5, 3)))
+        assert (move.u >= low).all() and (move.u <= high).all()
+        assert (np.abs(move.u - u) <= rate * (1 + 1e-12)).all()
+        u = move.u
+        distance.append(abs(np.mean(u - model.input_offset)))
+    if on_plane:
+        assert max(distance) <= 1e-9
+    else:
+        assert (np.diff(distance) <= 1e-11).all()
+
+
+def test_a_reset_controller_repeats_its_run() -> None:
+    mpc = MPC(arm_model(4), 10, -0.01, 0.01, 0.003, y_max=0.02)
+
+    def run() -> np.ndarray:
+        rng = np.random.default_rng(1)
+        mpc.reset([0.001, 0.001, 0.001])
+        return np.array([mpc.step(0.05 * rng.standard_normal(6), rng.standard_normal((10, 3))).u for _ in range(15)])
+
+    np.testing.assert_array_equal(run(), run())
+
+
+def test_growth_over_the_horizon_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match="spectral radius"):
+        MPC(arm_model(0, radius=1.5), 20, -0.01, 0.01, 0.002)
+    with pytest.warns(UserWarning, match="spectral radius"):
+        MPC(arm_model(0, n=80, radius=1.5), 20, -0.01, 0.01, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"horizon": 0}, "horizon = 0"),
+        ({"u_min": [-0.01, -0.01]}, r"u_min has shape \(2,\); expected \(3,\)"),
+        ({"u_min": 0.02}, "u_min = 0.02 is not below u_max = 0.01"),
+        ({"du_max": 0.0}, "du_max = 0; expected a positive change"),
+        ({"du_max": np.nan}, "du_max has 3 NaN"),
+        ({"u_min": 0.005}, "contains no input of the training data"),
+        ({"track": "elbow"}, "'elbow' names no output of the model; it has 'tip'"),
+        ({"track": (0, 9)}, "expected state indices from 0 to 5"),
+        ({"axes": (0, 3)}, "axes"),
+        ({"dt": 0.05}, "dt = 0.05 s, but the model steps 0.03 s"),
+        ({"output_weight": [1.0, 2.0]}, "output_weight"),
+        ({"output_weight": 0.0}, "output_weight"),
+        ({"rate_weight": -1.0}, "rate_weight = -1"),
+        ({"y_min": 0.1, "y_max": 0.0}, "y_min"),
+        ({"estimator_gain": 1.5}, "estimator_gain = 1.5"),
+    ],
+)
+def test_wrong_arguments_raise_one_line(changes: dict[str, object], message: str) -> None:
+    arguments: dict[str, object] = {"horizon": 5, "u_min": -0.01, "u_max": 0.01, "du_max": 0.002} | changes
+    with pytest.raises(ValueError, match=message) as caught:
+        MPC(arm_model(0), **arguments)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_measurements_and_references_raise() -> None:
+    mpc = MPC(arm_model(0), 5, -0.01, 0.01, 0.002)
+    with pytest.raises(ValueError, match="x_measured has shape"):
+        mpc.step(np.zeros(5), np.zeros((5, 3)))
+    with pytest.raises(ValueError, match="x_measured has 1 NaN"):
+        mpc.step(np.array([0, 0, 0, 0, 0, np.nan]), np.zeros((5, 3)))
+    with pytest.raises(ValueError, match=r"reference_window has shape \(4, 3\); expected \(5, 3\)"):
+        mpc.step(np.zeros(6), np.zeros((4, 3)))
+    with pytest.raises(ValueError, match="outside u_min"):
+        mpc.reset([0.05, 0.0, 0.0])
+    with pytest.raises(ValueError, match="input_basis"):
+        MPC(arm_model(0, basis=np.zeros((3, 0))), 5, -0.01, 0.01, 0.002)
