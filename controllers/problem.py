@@ -141,6 +141,8 @@ class TrackingProblem:
 
         ``response`` (H p, H r) replaces S: it is given at every step when the features are nonlinear in the input.
         """
+        if not np.isfinite(y_free).all():  # before anything is kept of this step
+            return QPResult("prediction not finite", None, 0, np.inf)
         P = A = None
         specified = ~np.isnan(reference)
         if response is not None:

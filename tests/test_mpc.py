@@ -166,7 +166,7 @@ def test_a_lift_that_overflows_is_a_fallback_and_is_forgotten() -> None:
     r = np.full((6, 3), 0.02)
     mpc.step(np.zeros(6), r)
     broken = mpc.step(np.array([0, 0, 0, 0, 0, 1e4]), r)
-    assert broken.fallback and broken.status == "cost not finite" and np.isfinite(broken.u).all()
+    assert broken.fallback and broken.status == "prediction not finite" and np.isfinite(broken.u).all()
     assert np.isfinite(mpc.disturbance).all()
     assert not mpc.step(np.zeros(6), r).fallback
 
