@@ -1,0 +1,34 @@
+"""Column scales: one for each physical quantity, so that columns of tiny variance are not blown up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.checks import one_of
+
+Array = NDArray[np.float64]
+
+SCALINGS = ("quantity", "column")
+
+
+def column_scales(std: Array, quantities: Sequence[str], scale: str | None = "quantity") -> Array:
+    """Scales (k,) of columns with standard deviations ``std`` (k,) about their means.
+
+    "quantity": the root mean square of ``std`` over the columns of one quantity; "column": each its own; None: 1.
+    A quantity that does not vary has scale 1.
+    """
+    if scale is None:
+        return np.ones_like(std)
+    if one_of(scale, "scale", SCALINGS) == "column":
+        scales = std.copy()
+    else:
+        labels = np.array(quantities)
+        scales = np.empty_like(std)
+        for quantity in set(quantities):
+            group = labels == quantity
+            scales[group] = np.sqrt(np.mean(std[group] ** 2))
+    scales[scales == 0.0] = 1.0
+    return scales
