@@ -80,7 +80,7 @@ class Dictionary:
             raise ValueError(
                 f"the dictionary holds {', '.join(repeated[:5])} more than once; drop or rename one of them"
             )
-        if self.state_delays and self._state_columns is None:
+        if self.state_delays and self.state_columns is None:
             raise ValueError("delayed states need the states themselves as columns; add ob.States() or ob.Identity()")
 
     def __repr__(self) -> str:
@@ -163,10 +163,10 @@ class Dictionary:
     @property
     def invert(self) -> Array | None:
         """C (n, M_z) with x = C psi, exact, when every state is a column; else None."""
-        if self._state_columns is None:
+        if self.state_columns is None:
             return None
         selection = np.zeros((self.n_states, self.n_lifted))
-        selection[np.arange(self.n_states), self._state_columns] = 1.0
+        selection[np.arange(self.n_states), self.state_columns] = 1.0
         return selection
 
     def evaluate(self, pairs: Pairs) -> Array:
@@ -256,7 +256,7 @@ class Dictionary:
         return (*present, *delayed, *past, *features)
 
     @cached_property
-    def _state_columns(self) -> NDArray[np.int64] | None:
+    def state_columns(self) -> NDArray[np.int64] | None:
         """Positions of the states among the present columns, or None if they are not there."""
         if not any(isinstance(o, States | Identity) for o in self.observables):
             return None

@@ -226,12 +226,7 @@ class Episodes:
 
         A direction counts if its singular value exceeds 1e-6 of the largest.
         """
-        inputs = self.stacked_inputs()
-        offset = inputs.mean(axis=0)
-        _, values, directions = np.linalg.svd(inputs - offset, full_matrices=False)
-        tiny = np.finfo(float).eps * float(np.abs(inputs).max(initial=0.0)) * np.sqrt(len(inputs))
-        excited = values > max(EXCITED * float(values.max(initial=0.0)), tiny)
-        return offset, directions[excited].T.copy()
+        return excited_directions(self.stacked_inputs())
 
     def stacked_states(self) -> Array:
         """All states of all episodes (sum of T_i + 1, n)."""
@@ -273,6 +268,18 @@ class Episodes:
                 provenance=h5.read_json(file, "provenance"),
                 **{name: h5.read_strings(file, name) for name in names},
             )
+
+
+def excited_directions(inputs: Array) -> tuple[Array, Array]:
+    """Mean (m,) of inputs (N, m) and an orthonormal basis (m, r) of the directions in which they vary.
+
+    A direction counts if its singular value exceeds 1e-6 of the largest.
+    """
+    offset = inputs.mean(axis=0)
+    _, values, directions = np.linalg.svd(inputs - offset, full_matrices=False)
+    rounding = np.finfo(float).eps * float(np.abs(inputs).max(initial=0.0)) * np.sqrt(len(inputs))
+    excited = values > max(EXCITED * float(values.max(initial=0.0)), rounding)
+    return offset, directions[excited].T.copy()
 
 
 def _write_ragged(group: h5py.Group, name: str, arrays: Sequence[Array]) -> None:

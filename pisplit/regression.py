@@ -53,7 +53,8 @@ def composed_ridge(f: Array, a: Array, y: Array, alpha: float) -> Regression:
     """H (r, M) = argmin |A H^T F^T - Y|^2 + alpha |H|^2 for a known F (S, r), in closed form.
 
     With F = U s V^T and A = P t Q^T the unknowns separate:
-    (V^T H Q)_ij = s_i t_j (U^T Y^T P)_ij / (s_i^2 t_j^2 + alpha). F is never inverted, so a strongly damped F amplifies no noise. alpha = 0 is least squares.
+    (V^T H Q)_ij = s_i t_j (U^T Y^T P)_ij / (s_i^2 t_j^2 + alpha).
+    F is never inverted, so a strongly damped F amplifies no noise. alpha = 0 is least squares.
     """
     non_negative(alpha, "alpha")
     u, s, vt = np.linalg.svd(f, full_matrices=False)
@@ -108,13 +109,16 @@ def _lasso_cvxpy(a: Array, y: Array, alpha: float) -> tuple[Array, float]:
     unknown, target, weight = cp.Variable(a.shape[1]), cp.Parameter(len(r)), cp.Parameter(nonneg=True)
     problem = cp.Problem(cp.Minimize(cp.sum_squares(r @ unknown - target) + weight * cp.norm1(unknown)))
     result = np.zeros((y.shape[1], a.shape[1]))
-    for i in np.flatnonzero(sizes > 0):
-        target.value, weight.value = targets[:, i] / sizes[i], alpha / sizes[i]
-        problem.solve(solver=cp.CLARABEL)
-        if problem.status not in ("optimal", "optimal_inaccurate"):
-            raise ValueError(f"LASSO of target {i} ended as {problem.status}; scale the data or change alpha")
-        result[i] = unknown.value * sizes[i]
     gram, cross = r.T @ r, r.T @ targets
+    for i in np.flatnonzero(2.0 * np.abs(cross).max(axis=0) > alpha):  # the answer for the others is zero
+        target.value, weight.value = targets[:, i] / sizes[i], alpha / sizes[i]
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.SolverError:
+            raise ValueError(f"LASSO of target {i} failed in Clarabel; use solver='admm' or scale the data") from None
+        if unknown.value is None:
+            raise ValueError(f"LASSO of target {i} ended as {problem.status}; use solver='admm' or scale the data")
+        result[i] = unknown.value * sizes[i]
     result = _polish(gram, cross, result, alpha)
     return result, float(_gap(gram, cross, (y**2).sum(axis=0), result, alpha).max(initial=0.0))
 

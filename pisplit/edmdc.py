@@ -1,0 +1,72 @@
+"""Extended dynamic mode decomposition with control, linear in the lifted state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.checks import one_of
+from pisplit.dictionary import Dictionary
+from pisplit.episodes import Episodes, Pairs
+from pisplit.estimator import Estimator
+from pisplit.phase import PhaseSamples
+from pisplit.regression import PENALTIES
+from pisplit.splitting import Direct, SplitContext, Splitting
+
+Array = NDArray[np.float64]
+
+
+class LinearEDMDc(Estimator):
+    """L-EDMDc: K = argmin |K Theta(X, U) - psi(X')|^2 + alpha |K| (paper, eq. discrete-time-koop; Korda, Mezic 2018).
+
+    theta      dictionary
+    alpha      weight of the penalty, or "cv": chosen on roll-outs of held-out training episodes
+    penalty    "ridge" (squared Frobenius norm) or "lasso"
+    scale      column scales: "quantity", "column" or None
+    relative   alpha is relative: to the mean diagonal of the Gram matrix for ridge, to the smallest alpha with an
+               all-zero answer for LASSO; False takes it as printed
+    alphas     grid for alpha="cv"
+    cv_states  states (output group, names or indices) whose roll-out error chooses alpha; default all
+    """
+
+    def __init__(
+        self,
+        theta: Dictionary,
+        alpha: float | str = 0.0,
+        penalty: str = "ridge",
+        scale: str | None = "quantity",
+        relative: bool = True,
+        alphas: Sequence[float] | None = None,
+        cv_states: str | Sequence[int] | Sequence[str] | None = None,
+    ) -> None:
+        self.theta = theta
+        self.alpha = alpha
+        self.penalty = one_of(penalty, "penalty", PENALTIES)
+        self.scale = scale
+        self.relative = relative
+        self.alphas = alphas
+        self.cv_states = cv_states
+
+    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> LinearEDMDc:
+        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself."""
+        self._fit(d1, None, pairs)
+        return self
+
+    def _splitting(self, context: SplitContext) -> Splitting:
+        return Direct(context)
+
+    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
+        return SplitContext(
+            theta=theta,
+            scale=scale,
+            dt=dt,
+            samples=samples,
+            penalty=self.penalty,
+            toward="zero",
+            half_step="auto",
+            rows=None,
+            relative=self.relative,
+            generator_alpha=0.0,
+        )

@@ -1,0 +1,192 @@
+"""What all EDMDc estimators share: options, fit, the choice of alpha on held-out roll-outs, prediction, scores."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit.checks import finite_array, non_negative
+from pisplit.dictionary import Dictionary
+from pisplit.episodes import Episodes, Pairs
+from pisplit.evaluate import RolloutErrors, rollout_errors
+from pisplit.export import lifted_model
+from pisplit.lifted import LiftedModel
+from pisplit.moments import accumulate
+from pisplit.phase import PhaseSamples
+from pisplit.scaling import column_scales
+from pisplit.splitting import SplitContext, SplitFit, Splitting, pair_moments
+
+Array = NDArray[np.float64]
+
+GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
+MAX_HELD_OUT = 4
+
+
+@dataclass(frozen=True)
+class AlphaSearch:
+    """alphas (G,) tried, their median squared errors (G,) of held-out roll-outs in scaled states, and the choice."""
+
+    alphas: Array
+    errors: Array
+    chosen: float
+    held_out: tuple[int, ...]
+
+
+class Estimator:
+    """Base of the estimators: a subclass names its options in ``__init__`` and says how K is fitted in ``_splitting``.
+
+    After ``fit``: ``lifted`` (LiftedModel), ``K_`` (learned rows of the operator, physical units), ``theta_`` (the
+    dictionary with the names of the data), ``fit_`` (SplitFit), ``alpha_`` and ``cv_`` (None unless alpha="cv").
+    """
+
+    theta: Dictionary
+    alpha: float | str
+    penalty: str
+    scale: str | None
+    relative: bool
+    alphas: Sequence[float] | None
+    cv_states: str | Sequence[int] | Sequence[str] | None
+
+    lifted: LiftedModel
+    theta_: Dictionary
+    fit_: SplitFit
+    K_: Array
+    alpha_: float
+    cv_: AlphaSearch | None
+
+    def get_params(self) -> dict[str, Any]:
+        """The options the estimator was made with."""
+        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in self.get_params().items())})"
+
+    def predict(self, history: Any, inputs: ArrayLike) -> Array:
+        """States x_hat (T+1, n) under inputs (T, m), starting from the history.
+
+        ``history``: x0 (n,) without delays; x_history (D+1, n), newest last, with state delays only; or the two arrays
+        (x_history (D+1, n), u_history (D, m)). Warns if the roll-out diverged (states are then held).
+        """
+        model = self._fitted()
+        states, past = _history(history, self.theta_)
+        result = model.predict(states, past, finite_array(inputs, "U", (None, model.n_inputs)))
+        if result.diverged:
+            warnings.warn(
+                f"the roll-out diverged at step {result.diverged_at}; states are held from there", stacklevel=2
+            )
+        return result.x
+
+    def score(self, episodes: Episodes, states: str | Sequence[int] | Sequence[str] | None = None) -> RolloutErrors:
+        """Errors of open-loop roll-outs of test episodes over the chosen states (output group, names or indices)."""
+        return rollout_errors(self._fitted(), episodes, states)
+
+    def _splitting(self, context: SplitContext) -> Splitting:
+        raise NotImplementedError
+
+    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
+        raise NotImplementedError
+
+    def _fit(self, d1: Episodes, samples: PhaseSamples | None, pairs: Pairs | None) -> None:
+        if not isinstance(d1, Episodes):
+            raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
+        theta = self.theta.named_after(d1)
+        chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
+        scale = column_scales(pair_moments(theta, chosen).std[: theta.n_columns], theta.column_quantities, self.scale)
+        splitting = self._splitting(self._context(theta, scale, d1.dt, samples))
+        search = self._search(theta, splitting, d1, chosen) if self.alpha == "cv" else None
+        alpha = search.chosen if search else non_negative(self.alpha, "alpha")
+        fit = splitting.solver(chosen)(alpha)
+        provenance = {
+            "estimator": type(self).__name__,
+            "options": {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float | None)},
+            "alpha": alpha,
+            "pairs": len(chosen),
+            "details": dict(fit.details),
+            "data": dict(d1.provenance or {}),
+        }
+        self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance)
+        self.theta_, self.fit_, self.K_, self.alpha_, self.cv_ = theta, fit, fit.K, alpha, search
+
+    def _search(self, theta: Dictionary, splitting: Splitting, d1: Episodes, pairs: Pairs) -> AlphaSearch:
+        """Fit on all but a few training episodes, roll these out, take the alpha of the smallest median error."""
+        grid = np.array(GRIDS[self.penalty] if self.alphas is None else self.alphas, dtype=np.float64)
+        training, held, names = _hold_out(d1, pairs, theta.n_delays)
+        solve = splitting.solver(training)
+        weights = _state_weights(theta, pairs)
+        errors = np.array([self._held_out_error(theta, solve(a).K, d1, training, held, weights) for a in grid])
+        best = int(np.argmin(errors))
+        if not np.isfinite(errors[best]):
+            best = int(np.argmax(grid))
+            warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {grid[best]:g}", stacklevel=4)
+        return AlphaSearch(alphas=grid, errors=errors, chosen=float(grid[best]), held_out=names)
+
+    def _held_out_error(
+        self, theta: Dictionary, k: Array, d1: Episodes, training: Pairs, held: Episodes, weights: Array
+    ) -> float:
+        if not np.isfinite(k).all():
+            return np.inf
+        return rollout_errors(lifted_model(theta, k, d1, training, {}), held, self.cv_states, weights).median
+
+    def _fitted(self) -> LiftedModel:
+        if not hasattr(self, "lifted"):
+            raise ValueError(f"{type(self).__name__} is not fitted; call fit first")
+        return self.lifted
+
+
+def _checked(pairs: Pairs, d1: Episodes, theta: Dictionary) -> Pairs:
+    """``pairs`` of these episodes with the history that the dictionary needs."""
+    if pairs.states.shape != d1.stacked_states().shape or pairs.inputs.shape != d1.stacked_inputs().shape:
+        raise ValueError("pairs are not from these episodes; make them with d1.pairs(...)")
+    if len(pairs) == 0 or int(pairs.index.min()) < theta.n_delays:
+        raise ValueError(f"pairs need {theta.n_delays} steps of history; make them with d1.pairs({theta.n_delays})")
+    return replace(pairs, n_delays=theta.n_delays)
+
+
+def _hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:
+    """Training pairs, held-out episodes and their numbers.
+
+    Episodes with the fewest training pairs are held out, later ones first: drawn pairs stay in use where possible.
+    A single episode is cut in time: its last third is held out.
+    """
+    if len(d1) == 1:
+        steps = len(d1.us[0])
+        cut = max(int(np.quantile(pairs.index, 2 / 3)), delays + 1)
+        training = pairs.take(pairs.index < cut)
+        if len(training) == 0 or steps - cut <= delays:
+            raise ValueError("alpha='cv' needs more data: one episode is too short to hold out its end; give alpha")
+        held = Episodes([d1.xs[0][cut:]], [d1.us[0][cut:]], d1.dt)
+        return training, held, (0,)
+    numbers = np.bincount(pairs.episode, minlength=len(d1))
+    long_enough = [i for i in range(len(d1)) if len(d1.us[i]) > delays]
+    order = sorted(long_enough, key=lambda i: (numbers[i], -i))
+    names = tuple(sorted(order[: min(MAX_HELD_OUT, max(1, len(order) // 5))]))
+    training = pairs.take(~np.isin(pairs.episode, names))
+    if len(training) == 0:
+        raise ValueError("alpha='cv' has no pairs left beside the held-out episodes; give more episodes, or alpha")
+    return training, d1.subset(names), names
+
+
+def _state_weights(theta: Dictionary, pairs: Pairs) -> Array:
+    """1 / scale (n,) of every state by physical quantity, so that held-out errors of different units add up."""
+    std = accumulate(block.x for block in pairs.blocks()).std
+    return 1.0 / column_scales(std, theta.names.quantities)
+
+
+def _history(history: Any, theta: Dictionary) -> tuple[Array, Array | None]:
+    if isinstance(history, tuple | list) and len(history) == 2 and np.ndim(history[0]) == 2:
+        return np.asarray(history[0], dtype=np.float64), np.asarray(history[1], dtype=np.float64)
+    states = np.asarray(history, dtype=np.float64)
+    if theta.n_delays == 0:
+        return states, None
+    if theta.input_delays:
+        raise ValueError(
+            f"the dictionary delays inputs by {theta.input_delays}; give history as two arrays: "
+            f"(x_history ({theta.n_delays + 1}, n), u_history ({theta.n_delays}, m))"
+        )
+    return states, np.zeros((theta.n_delays, theta.n_inputs))

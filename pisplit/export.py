@@ -1,0 +1,90 @@
+"""From the learned rows of the operator to a :class:`LiftedModel`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.dictionary import Dictionary
+from pisplit.episodes import Episodes, Pairs, excited_directions
+from pisplit.lifted import LiftedModel
+from pisplit.moments import accumulate
+from pisplit.regression import least_squares
+
+Array = NDArray[np.float64]
+
+
+def lifted_model(
+    theta: Dictionary, k: Array, episodes: Episodes, pairs: Pairs, provenance: Mapping[str, Any]
+) -> LiftedModel:
+    """The model z+ = A z + B phi(u), y = C z + d of the learned rows ``k`` (S, M) in physical units.
+
+    The constant keeps its value and delays shift exactly: those rows are written, not learned. Where the states are not
+    columns of the dictionary, C and d are regressed on the training pairs.
+    """
+    a, b = transition(theta, k)
+    read, offset = _read_out(theta, pairs)
+    mean, basis = excited_directions(np.vstack([pairs.u, pairs.u_history.reshape(-1, theta.n_inputs)]))
+    return LiftedModel(
+        A=a,
+        B=b,
+        c=np.zeros(theta.n_lifted),
+        C=read,
+        d=offset,
+        dt=episodes.dt,
+        lift_function=theta.lift_function,
+        input_function=theta.input_function,
+        n_delays=theta.n_delays,
+        state_names=theta.names.states,
+        input_names=theta.names.inputs,
+        column_names=theta.lifted_names,
+        feature_names=theta.feature_names,
+        input_offset=mean,
+        input_basis=basis,
+        state_range=_state_range(theta, pairs),
+        outputs=dict(episodes.outputs or {}),
+        provenance=dict(provenance),
+    )
+
+
+def transition(theta: Dictionary, k: Array) -> tuple[Array, Array]:
+    """A (M_z, M_z) and B (M_z, P) from the learned rows ``k`` (S, M): the other rows are known exactly."""
+    rows = np.zeros((theta.n_lifted, theta.n_columns))
+    rows[theta.learned_columns] = k
+    if theta.constant_column is not None:
+        rows[theta.constant_column, theta.constant_column] = 1.0
+    at = theta.n_present
+    for delays, source in (
+        (theta.state_delays, theta.state_columns),
+        (theta.input_delays, np.arange(theta.n_lifted, theta.n_columns)),
+    ):
+        for _ in range(delays):  # x_{k-1} becomes what x_k is now, x_{k-2} what x_{k-1} is now, ...
+            target = np.arange(at, at + len(source))
+            rows[target, source] = 1.0
+            source, at = target, at + len(source)
+    return rows[:, : theta.n_lifted].copy(), rows[:, theta.n_lifted :].copy()
+
+
+def _read_out(theta: Dictionary, pairs: Pairs) -> tuple[Array, Array]:
+    exact = theta.invert
+    if exact is not None:
+        return exact, np.zeros(theta.n_states)
+    columns = [i for i in range(theta.n_lifted) if i != theta.constant_column]
+    moments = accumulate(np.hstack([theta.evaluate(b)[:, columns], b.x]) for b in pairs.blocks())
+    size = len(columns)
+    fit = least_squares(moments.factor[:, :size], moments.factor[:, size:]).K
+    read = np.zeros((theta.n_states, theta.n_lifted))
+    read[:, columns] = fit
+    return read, moments.mean[size:] - fit @ moments.mean[:size]
+
+
+def _state_range(theta: Dictionary, pairs: Pairs) -> Array:
+    """Largest training magnitude (n,) of each state's quantity; 1 for a quantity that is always zero."""
+    largest = np.maximum(np.abs(pairs.x).max(axis=0), np.abs(pairs.x_next).max(axis=0))
+    labels = np.array(theta.names.quantities)
+    pooled = np.array([largest[labels == label].max() for label in labels])
+    pooled[pooled == 0.0] = 1.0
+    return pooled

@@ -1,0 +1,95 @@
+"""Physics-informed EDMDc: the known part from phase-space samples, the unknown part from trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.checks import non_negative, one_of
+from pisplit.dictionary import Dictionary
+from pisplit.episodes import Episodes, Pairs
+from pisplit.estimator import Estimator
+from pisplit.generator import HALF_STEPS
+from pisplit.phase import PhaseSamples
+from pisplit.regression import PENALTIES
+from pisplit.splitting import SPLITS, SplitContext, Splitting
+
+Array = NDArray[np.float64]
+
+
+class PIEDMDc(Estimator):
+    """PI-EDMDc (paper, Algorithm 1): K_f from the known f on D2, K_h from the pairs of D1, K = K_f K_h K_f.
+
+    theta            dictionary
+    alpha            weight of the penalty on K_h, or "cv": chosen on roll-outs of held-out training episodes
+    penalty          "lasso" (paper; pulled-back residual) or "ridge" (composed residual, K_f is never inverted)
+    toward           what the penalty pulls K_h to: "zero" (paper) or "identity", which leaves the known physics
+    split            "strang" (paper), "lie", or another name registered in pisplit.splitting.SPLITS
+    half_step        "generator" (exponential of the generator), "flow" (EDMD on the flow of f) or "auto"
+    rows             where K_h may differ from the identity: None everywhere; "inputs" in the input columns only; names
+                     of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
+                     the others, which take K_f twice)
+    scale, relative, alphas, cv_states   as in LinearEDMDc
+    generator_alpha  ridge of the regression that identifies the generator or flow map, relative to its Gram diagonal
+    options          further options of the splitting
+
+    With an invertible K_f, alpha = 0 and rows = None it equals EDMDc: K_f cancels.
+    """
+
+    def __init__(
+        self,
+        theta: Dictionary,
+        alpha: float | str = "cv",
+        penalty: str = "lasso",
+        toward: str = "zero",
+        split: str = "strang",
+        half_step: str = "auto",
+        rows: str | Sequence[str] | Sequence[bool] | None = None,
+        scale: str | None = "quantity",
+        relative: bool = True,
+        alphas: Sequence[float] | None = None,
+        cv_states: str | Sequence[int] | Sequence[str] | None = None,
+        generator_alpha: float = 0.0,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.theta = theta
+        self.alpha = alpha
+        self.penalty = one_of(penalty, "penalty", PENALTIES)
+        self.toward = one_of(toward, "toward", ("zero", "identity"))
+        self.split = one_of(split, "split", tuple(SPLITS))
+        self.half_step = one_of(half_step, "half_step", HALF_STEPS)
+        self.rows = rows
+        self.scale = scale
+        self.relative = relative
+        self.alphas = alphas
+        self.cv_states = cv_states
+        self.generator_alpha = non_negative(generator_alpha, "generator_alpha")
+        self.options = options
+
+    def fit(self, d1: Episodes, d2: PhaseSamples, pairs: Pairs | None = None) -> PIEDMDc:
+        """Fit to the phase samples d2 and to all pairs of the episodes d1, or to ``pairs`` drawn from them."""
+        if not isinstance(d2, PhaseSamples):
+            raise ValueError(f"d2 is a {type(d2).__name__}; expected PhaseSamples of the known vector field")
+        self._fit(d1, d2, pairs)
+        return self
+
+    def _splitting(self, context: SplitContext) -> Splitting:
+        return SPLITS[self.split](context)
+
+    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
+        return SplitContext(
+            theta=theta,
+            scale=scale,
+            dt=dt,
+            samples=samples,
+            penalty=self.penalty,
+            toward=self.toward,
+            half_step=self.half_step,
+            rows=self.rows,
+            relative=self.relative,
+            generator_alpha=self.generator_alpha,
+            options=self.options or {},
+        )
