@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import casadi as ca
-from pisplit.models.control_system import ControlSystem
 
 from pisplit.checks import finite_number
+from pisplit.models.control_system import ControlSystem
 
 
 def slow_manifold(mu: float = -0.1, lam: float = -1.0, delta: float = 10.0) -> ControlSystem:

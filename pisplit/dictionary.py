@@ -155,7 +155,7 @@ class Dictionary:
         last = self.n_delays
         x = kind.sym("x_history", self.n_states, last + 1)
         u = kind.sym("u_history", self.n_inputs, last)
-        parts = [self._state_part.function(x[:, last])]
+        parts: list[Any] = [self._state_part.function(x[:, last])]
         parts += [x[:, last - j] for j in range(1, self.state_delays + 1)]
         parts += [self.input_function(u[:, last - j]) for j in range(1, self.input_delays + 1)]
         return ca.Function("lift", [x, u], [ca.densify(ca.vertcat(*parts))])
@@ -274,7 +274,7 @@ class Dictionary:
     @cached_property
     def _derivative(self) -> Mapped:
         function = self._state_part.function
-        kind = ca.SX if function.is_a("SXFunction") else ca.MX
+        kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
         x, v = kind.sym("x", self.n_states), kind.sym("v", self.n_states)
         return Mapped(ca.Function("lie_derivative", [x, v], [ca.densify(ca.jtimes(function(x), x, v))]))
 

@@ -211,8 +211,10 @@ class Episodes:
         if sum(map(len, steps)) == 0:
             longest = max(map(len, self.us))
             raise ValueError(f"n_delays = {delays} needs episodes of {delays + 1} steps; the longest has {longest}")
-        index = [np.concatenate(a).astype(np.int64) for a in (rows, input_rows, episodes, steps)]
-        return Pairs(self.stacked_states(), self.stacked_inputs(), *index, n_delays=delays)
+        row, input_row, episode, index = (
+            np.concatenate(a).astype(np.int64) for a in (rows, input_rows, episodes, steps)
+        )
+        return Pairs(self.stacked_states(), self.stacked_inputs(), row, input_row, episode, index, delays)
 
     def start(self, episode: int, n_delays: int = 0) -> Start:
         """History, inputs and true states for the roll-out of one episode. Raises ValueError if it is too short."""

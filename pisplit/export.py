@@ -45,7 +45,7 @@ def lifted_model(
         input_offset=mean,
         input_basis=basis,
         state_range=_state_range(theta, pairs),
-        outputs=dict(episodes.outputs or {}),
+        outputs={name: tuple(group) for name, group in (episodes.outputs or {}).items()},
         provenance=dict(provenance),
     )
 
@@ -57,10 +57,9 @@ def transition(theta: Dictionary, k: Array) -> tuple[Array, Array]:
     if theta.constant_column is not None:
         rows[theta.constant_column, theta.constant_column] = 1.0
     at = theta.n_present
-    for delays, source in (
-        (theta.state_delays, theta.state_columns),
-        (theta.input_delays, np.arange(theta.n_lifted, theta.n_columns)),
-    ):
+    states = np.empty(0, dtype=np.int64) if theta.state_columns is None else theta.state_columns
+    features = np.arange(theta.n_lifted, theta.n_columns)
+    for delays, source in ((theta.state_delays, states), (theta.input_delays, features)):
         for _ in range(delays):  # x_{k-1} becomes what x_k is now, x_{k-2} what x_{k-1} is now, ...
             target = np.arange(at, at + len(source))
             rows[target, source] = 1.0

@@ -199,10 +199,11 @@ class LiftedModel:
     def load(cls, path: str | os.PathLike[str]) -> LiftedModel:
         """Read a saved model. Raises one line for files that are missing, truncated or of another kind."""
         with h5.reading(path, KIND) as file:
+            parts: dict[str, Any] = {name: np.asarray(file[name][()]) for name in _ARRAYS}
+            parts |= {name: ca.Function.deserialize(h5.read_text(file, name)) for name in _FUNCTIONS}
+            parts |= {name: h5.read_strings(file, name) for name in _NAMES}
             return cls(
-                **{name: np.asarray(file[name][()]) for name in _ARRAYS},
-                **{name: ca.Function.deserialize(h5.read_text(file, name)) for name in _FUNCTIONS},
-                **{name: h5.read_strings(file, name) for name in _NAMES},
+                **parts,
                 dt=float(file.attrs["dt"]),
                 n_delays=int(file.attrs["n_delays"]),
                 outputs={name: tuple(group) for name, group in h5.read_json(file, "outputs").items()},
@@ -239,7 +240,8 @@ class LiftedModel:
                 _propagate(np.ascontiguousarray(self.A.T), z)
             x = (z @ self.C.T + self.d).transpose(1, 0, 2)
             z = z.transpose(1, 0, 2)
-            admissible = np.isfinite(z).all(axis=2) & (np.abs(x) <= DIVERGENCE_FACTOR * self.state_range).all(axis=2)
+            within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
+            admissible = np.all(np.isfinite(z), axis=2) & np.all(within, axis=2)
         at = np.where(admissible.all(axis=1), -1, np.argmin(admissible, axis=1))
         x = np.ascontiguousarray(x)
         for episode in np.flatnonzero(at >= 0):

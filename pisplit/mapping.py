@@ -56,13 +56,15 @@ class _Evaluator:
         mapped = dense if n == 1 else dense.map(n)
         self._inputs = [np.zeros((n, dense.numel_in(i))) for i in range(dense.n_in())]
         self._output = np.zeros((n, dense.numel_out(0)))
-        self._buffer, self._run = mapped.buffer()
+        buffer: Any
+        buffer, self._run = mapped.buffer()
+        self._buffer = buffer
         # Columns of the mapped function are samples: column-major (k, n) is the memory of row-major (n, k).
         for i, memory in enumerate(self._inputs):
             if memory.size:
-                self._buffer.set_arg(i, memoryview(memory.reshape(-1)))
+                buffer.set_arg(i, memory.reshape(-1).data)
         if self._output.size:
-            self._buffer.set_res(0, memoryview(self._output.reshape(-1)))
+            buffer.set_res(0, self._output.reshape(-1).data)
 
     def __call__(self, arguments: list[Any], result: Array) -> None:
         for memory, argument in zip(self._inputs, arguments, strict=True):

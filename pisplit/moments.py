@@ -49,7 +49,7 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
         n_samples += len(block)
         rows = np.hstack([np.ones((len(block), 1)), block])
         stacked = rows if triangle is None else np.vstack([triangle, rows])
-        triangle = np.linalg.qr(stacked, mode="r")
+        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
     if triangle is None or n_samples == 0:
         raise ValueError("there are no samples to learn from; give at least one snapshot pair or phase sample")
     # The leading column of ones makes the first row the mean, and the rest the factor about it.
