@@ -1,1 +1,33 @@
-"""Cosserat-rod scenes in CasADi."""
+"""Cosserat-rod scenes in CasADi: statics by rootfinding, dynamics by IDAS.
+
+A scene is a rod and terms that act on it::
+
+    arm = rod.Scene(rod.Rod(...), rod.Gravity((-9.81, 0, 0)), rod.Tendons.parallel(...))
+    arm.statics().solve(u)      arm.simulator(dt=0.03).run(U)      arm.fields(states, stations=6)
+"""
+
+from pisplit.models.rod.body import Rod
+from pisplit.models.rod.damping import KelvinVoigt
+from pisplit.models.rod.drag import LinearDrag, QuadraticDrag
+from pisplit.models.rod.gravity import Gravity
+from pisplit.models.rod.loads import Input
+from pisplit.models.rod.scene import Scene
+from pisplit.models.rod.section import Circle, Elastic
+from pisplit.models.rod.tendons import Displacement, Tendons, Tension
+from pisplit.models.rod.wrench import TipWrench
+
+__all__ = [
+    "Circle",
+    "Displacement",
+    "Elastic",
+    "Gravity",
+    "Input",
+    "KelvinVoigt",
+    "LinearDrag",
+    "QuadraticDrag",
+    "Rod",
+    "Scene",
+    "Tendons",
+    "Tension",
+    "TipWrench",
+]

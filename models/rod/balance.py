@@ -1,0 +1,120 @@
+"""The balance of a scene in CasADi: residual of the free strains, and what else can be read from a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from pisplit.models.rod.body import Rod
+from pisplit.models.rod.gauss import GaussRule
+from pisplit.models.rod.kinematics import Motion, columnwise_cross
+from pisplit.models.rod.loads import Input, Loads, Term
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Weak form of the Cosserat equations at the Gauss nodes.
+
+    Statics is the same balance with exact zeros as rates and no inertia: nothing of the motion is left in its graph.
+
+    With loads f, l per length and a wrench at the tip, forces and moments come from the tip:
+
+        N = F_tip + int_s^L (f - rho A p_tt),   M = M_tip + int_s^L (p_s x N + l - (R rho J omega)_t)
+
+    and every free strain balances at every node, in body axes:
+
+        0 = R^T M - K_bt (w - w*) - stress_w,   0 = R^T N - K_se (v - v*) - stress_v
+    """
+
+    rod: Rod
+    terms: tuple[Term, ...]
+    rule: GaussRule
+    strains: ca.SX
+    rates: ca.SX
+    accelerations: ca.SX
+    inputs: dict[str, ca.SX]
+    inertia: bool = True
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Kinematics."""
+        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations)
+
+    @cached_property
+    def loads(self) -> Loads:
+        """Loads of all the terms."""
+        loads = Loads.none(self.rule.n_nodes, self.inputs)
+        for term in self.terms:
+            term.apply(self.motion, loads)
+        return loads
+
+    @cached_property
+    def _force(self) -> ca.SX:
+        """World internal force N at the nodes (3, K)."""
+        density = self.loads.force
+        if self.inertia:
+            density = density - self.rod.mass_per_length * self.motion.acceleration
+        return ca.repmat(self.loads.tip_force, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+
+    @cached_property
+    def _moment(self) -> ca.SX:
+        """World internal moment M at the nodes (3, K)."""
+        density = columnwise_cross(self.motion.tangent, self._force) + self.loads.moment
+        if self.inertia:
+            density = density - self._rotary_inertia()
+        return ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+
+    def _rotary_inertia(self) -> ca.SX:
+        """Rate of angular momentum per length in world axes: R (rho J alpha + omega x rho J omega)."""
+        inertia = ca.SX(ca.DM(list(self.rod.inertia_per_length)))
+        omega = self.motion.to_body(self.motion.spin)
+        alpha = self.motion.to_body(self.motion.spin_rate)
+        j = ca.repmat(inertia, 1, self.rule.n_nodes)
+        return self.motion.to_world(j * alpha + columnwise_cross(omega, j * omega))
+
+    @cached_property
+    def elastic_force(self) -> ca.SX:
+        """Body force that the material carries, n = R^T N - stress_v, at the nodes (3, K) in N."""
+        return self.motion.to_body(self._force) - self.loads.stress_v
+
+    @cached_property
+    def residual(self) -> ca.SX:
+        """Residual of the free strains, node by node; moments in N m, forces in N."""
+        stiffness, rest = self.rod.stiffness, self.rod.rest_strains
+        moment = self.motion.to_body(self._moment) - self.loads.stress_w
+        rows = []
+        for component in self.rod.strain_set.free:
+            axis = component % 3
+            strain = self.motion.w[axis, :] if component < 3 else self.motion.v[axis, :]
+            carried = moment[axis, :] if component < 3 else self.elastic_force[axis, :]
+            rows.append(carried - stiffness[component] * (strain - rest[component]))
+        return ca.vec(ca.vertcat(*rows))
+
+    @cached_property
+    def strain_v(self) -> ca.SX:
+        """Shear and stretch strains at the nodes (3, K); where they are not free, from the force the material carries."""
+        free = self.rod.strain_set.free
+        rows = []
+        for axis in range(3):
+            if 3 + axis in free:
+                rows.append(self.motion.v[axis, :])
+            else:
+                rows.append(
+                    self.rod.rest_strains[3 + axis] + self.elastic_force[axis, :] / self.rod.stiffness[3 + axis]
+                )
+        return ca.vertcat(*rows)
+
+
+def collect_inputs(terms: tuple[Term, ...]) -> tuple[Input, ...]:
+    """Inputs of all the terms in their order; the same input may be read by several terms."""
+    found: dict[str, Input] = {}
+    for term in terms:
+        for item in term.inputs:
+            known = found.setdefault(item.name, item)
+            if known.size != item.size:
+                raise ValueError(
+                    f"input {item.name!r} has size {item.size} in one term and {known.size} in another; give them different names"
+                )
+    return tuple(found.values())

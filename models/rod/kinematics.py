@@ -1,0 +1,173 @@
+"""Motion of the rod from its strains and their rates, at the Gauss nodes and at the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from pisplit.models.rod.body import Rod
+from pisplit.models.rod.gauss import Array, GaussRule
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Symbolic kinematics at the nodes of ``rule``, computed when first read.
+
+    World quantities are 3 x K matrices with one column a node; ``*_tip`` are columns (3,). With exact zeros as rates
+    (statics) every velocity folds to zero and leaves nothing in the graph.
+
+    Equations (s = arclength, t = time; R_s = R hat(w), p_s = R v):
+        O_s = R w_t,  O_ts = O x R w_t + R w_tt      (O: world angular velocity, zero at the clamp)
+        p_ts = O x p_s + R v_t,  p_tts = O_t x p_s + O x (O x p_s) + 2 O x R v_t + R v_tt
+    """
+
+    rod: Rod
+    rule: GaussRule
+    strains: ca.SX
+    rates: ca.SX
+    accelerations: ca.SX
+
+    def _split(self, values: ca.SX, rest: tuple[float, ...]) -> tuple[ca.SX, ca.SX]:
+        free, k = self.rod.strain_set, self.rule.n_nodes
+        nodes = ca.horzsplit(ca.reshape(values, free.n_fields, k))
+        pairs = [free.split(node, rest) for node in nodes]
+        return ca.horzcat(*[w for w, _ in pairs]), ca.horzcat(*[v for _, v in pairs])
+
+    @cached_property
+    def _wv(self) -> tuple[ca.SX, ca.SX]:
+        return self._split(self.strains, self.rod.rest_strains)
+
+    @cached_property
+    def _wv_t(self) -> tuple[ca.SX, ca.SX]:
+        return self._split(self.rates, (0.0,) * 6)
+
+    @cached_property
+    def _wv_tt(self) -> tuple[ca.SX, ca.SX]:
+        return self._split(self.accelerations, (0.0,) * 6)
+
+    @property
+    def w(self) -> ca.SX:
+        """Bending and torsion strains in 1/m."""
+        return self._wv[0]
+
+    @property
+    def v(self) -> ca.SX:
+        """Shear and stretch strains."""
+        return self._wv[1]
+
+    @property
+    def w_t(self) -> ca.SX:
+        """Rates of ``w`` in 1/(m s)."""
+        return self._wv_t[0]
+
+    @property
+    def v_t(self) -> ca.SX:
+        """Rates of ``v`` in 1/s."""
+        return self._wv_t[1]
+
+    @cached_property
+    def frames(self) -> list[ca.SX]:
+        """Rotations R at the nodes, then at the tip."""
+        points = [*self.rule.nodes.tolist(), self.rule.length]
+        return self.frames_at(points)
+
+    def frames_at(self, points: list[float]) -> list[ca.SX]:
+        """Rotations R at increasing arclengths."""
+        return self.rod.strain_set.frames(ca.horzsplit(self.w), self.rule, points)
+
+    @property
+    def tip_frame(self) -> ca.SX:
+        """Rotation of the tip."""
+        return self.frames[-1]
+
+    def to_world(self, body: ca.SX) -> ca.SX:
+        """Body vectors at the nodes (3, K) in world axes."""
+        return ca.horzcat(*[r @ b for r, b in zip(self.frames, ca.horzsplit(body), strict=False)])
+
+    def to_body(self, world: ca.SX) -> ca.SX:
+        """World vectors at the nodes (3, K) in body axes."""
+        return ca.horzcat(*[r.T @ b for r, b in zip(self.frames, ca.horzsplit(world), strict=False)])
+
+    def integral(self, density: ca.SX, rows: Array) -> ca.SX:
+        """Integrals from the base (3, S) of a density at the nodes (3, K), by rows of integration weights (S, K)."""
+        return ca.mtimes(density, ca.DM(rows.T))
+
+    def from_base(self, density: ca.SX) -> ca.SX:
+        """int_0^{s_k} at every node."""
+        return self.integral(density, self.rule.integration)
+
+    def to_tip(self, density: ca.SX) -> ca.SX:
+        """int_{s_k}^L at every node, the adjoint of ``from_base``."""
+        return self.integral(density, self.rule.weights[None, :] - self.rule.integration)
+
+    def total(self, density: ca.SX) -> ca.SX:
+        """int_0^L."""
+        return self.integral(density, self.rule.weights[None, :])
+
+    @cached_property
+    def tangent(self) -> ca.SX:
+        """p_s = R v."""
+        return self.to_world(self.v)
+
+    @cached_property
+    def position(self) -> ca.SX:
+        """p at the nodes in m."""
+        return self.from_base(self.tangent)
+
+    @cached_property
+    def tip(self) -> ca.SX:
+        """p(L) in m."""
+        return self.total(self.tangent)
+
+    @cached_property
+    def spin_density(self) -> ca.SX:
+        """O_s = R w_t."""
+        return self.to_world(self.w_t)
+
+    @cached_property
+    def spin(self) -> ca.SX:
+        """World angular velocity O at the nodes in rad/s."""
+        return self.from_base(self.spin_density)
+
+    @cached_property
+    def _stretching(self) -> ca.SX:
+        return self.to_world(self.v_t)
+
+    @cached_property
+    def velocity_density(self) -> ca.SX:
+        """p_ts."""
+        return columnwise_cross(self.spin, self.tangent) + self._stretching
+
+    @cached_property
+    def velocity(self) -> ca.SX:
+        """World velocity p_t at the nodes in m/s."""
+        return self.from_base(self.velocity_density)
+
+    @cached_property
+    def tip_velocity(self) -> ca.SX:
+        """p_t(L) in m/s."""
+        return self.total(self.velocity_density)
+
+    @cached_property
+    def spin_rate(self) -> ca.SX:
+        """O_t at the nodes in rad/s^2."""
+        density = columnwise_cross(self.spin, self.spin_density) + self.to_world(self._wv_tt[0])
+        return self.from_base(density)
+
+    @cached_property
+    def acceleration(self) -> ca.SX:
+        """World acceleration p_tt at the nodes in m/s^2."""
+        carried = columnwise_cross(self.spin, columnwise_cross(self.spin, self.tangent) + 2.0 * self._stretching)
+        density = columnwise_cross(self.spin_rate, self.tangent) + carried + self.to_world(self._wv_tt[1])
+        return self.from_base(density)
+
+
+def columnwise_cross(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Cross products of the columns of two 3 x K matrices."""
+    return ca.vertcat(
+        a[1, :] * b[2, :] - a[2, :] * b[1, :],
+        a[2, :] * b[0, :] - a[0, :] * b[2, :],
+        a[0, :] * b[1, :] - a[1, :] * b[0, :],
+    )

@@ -1,0 +1,244 @@
+"""A scene: a rod and the terms that act on it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, count, finite_array
+from pisplit.models.rod.balance import Balance, collect_inputs
+from pisplit.models.rod.body import Rod
+from pisplit.models.rod.damping import KelvinVoigt
+from pisplit.models.rod.gauss import GaussRule
+from pisplit.models.rod.loads import Input, Term
+from pisplit.models.rod.tendons import Displacement, Tendons
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.dynamics import Simulator
+    from pisplit.models.rod.fields import Fields
+    from pisplit.models.rod.linear import Linearisation
+    from pisplit.models.rod.statics import Statics
+
+
+class Scene:
+    """A rod with the terms that act on it; immutable. Only what it contains is in its equations.
+
+    The state is ``[xi, xi_t, u]``: free strains at the Gauss nodes (node by node), their rates, and the inputs as they act
+    at that moment (servo positions of displaced tendons included). ``scene + term``, ``scene - term``,
+    ``scene.replace(term)`` and ``scene.without(TermType)`` give new scenes.
+
+    Args:
+        rod: the rod.
+        terms: what acts on it; inputs add up in the order of the terms.
+        nodes: number of Gauss nodes K. Four give 1e-5 to 1e-4 L for a smooth arm, six 1e-6 to 1e-5.
+    """
+
+    def __init__(self, rod: Rod, *terms: Term, nodes: int = 4) -> None:
+        if not isinstance(rod, Rod):
+            raise ValueError(f"Scene starts with a Rod; got {type(rod).__name__}")
+        for term in terms:
+            if not isinstance(term, Term):
+                raise ValueError(f"Scene term {term!r} has no inputs/apply/describe; give terms such as Gravity(...)")
+        self.rod = rod
+        self.terms = tuple(terms)
+        self.nodes = count(nodes, "Scene nodes", 2)
+        self._check_tendons()
+        self.inputs: tuple[Input, ...] = collect_inputs(self.terms)
+
+    def _check_tendons(self) -> None:
+        names = [t.name for t in self.terms if isinstance(t, Tendons)]
+        twice = {n for n in names if names.count(n) > 1}
+        if twice:
+            raise ValueError(f"two Tendons terms share the input {twice.pop()!r}; give one of them another name=")
+        for tendons in self.terms:
+            if isinstance(tendons, Tendons) and self.rod.strain_set.planar and any(y for _, y in tendons.offsets):
+                raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
+
+    def __add__(self, term: Term) -> Scene:
+        return Scene(self.rod, *self.terms, term, nodes=self.nodes)
+
+    def __sub__(self, term: Term) -> Scene:
+        if term not in self.terms:
+            raise ValueError(f"the scene does not contain {term!r}")
+        return Scene(self.rod, *[t for t in self.terms if t != term], nodes=self.nodes)
+
+    def replace(self, term: Term) -> Scene:
+        """The scene with ``term`` in place of the one of the same type."""
+        same = [t for t in self.terms if type(t) is type(term)]
+        if len(same) != 1:
+            raise ValueError(
+                f"the scene has {len(same)} terms of type {type(term).__name__}; replace needs exactly one"
+            )
+        return Scene(self.rod, *[term if t is same[0] else t for t in self.terms], nodes=self.nodes)
+
+    def without(self, kind: type) -> Scene:
+        """The scene without its terms of one type."""
+        return Scene(self.rod, *[t for t in self.terms if not isinstance(t, kind)], nodes=self.nodes)
+
+    def with_nodes(self, nodes: int) -> Scene:
+        """The scene on another number of nodes."""
+        return Scene(self.rod, *self.terms, nodes=nodes)
+
+    def __str__(self) -> str:
+        r = self.rod
+        lines = [
+            f"rod      {r.strains}, L = {r.length:g} m, mass {r.mass_per_length * r.length:g} kg, "
+            f"EI = {r.stiffness[0]:g} N m^2, {self.nodes} nodes"
+        ]
+        lines += [f"term     {t.describe(r)}" for t in self.terms]
+        lines += [f"input    {i.name} ({i.size})" for i in self.inputs]
+        lines.append(f"state    {self.n_states} = 2 x {self.n_strains} strains and rates + {self.n_inputs} inputs")
+        return "\n".join(lines)
+
+    # Sizes -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def n_strains(self) -> int:
+        """Number of generalised coordinates: free strains times nodes."""
+        return self.rod.strain_set.n_fields * self.nodes
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of input entries."""
+        return sum(i.size for i in self.inputs)
+
+    @property
+    def n_states(self) -> int:
+        """Length of the state [xi, xi_t, u]."""
+        return 2 * self.n_strains + self.n_inputs
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Name of every input entry."""
+        return tuple(f"{i.name}[{k}]" for i in self.inputs for k in range(i.size))
+
+    @property
+    def rule(self) -> GaussRule:
+        """The collocation rule."""
+        return GaussRule(self.rod.length, self.nodes)
+
+    # Scales ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def nominal_strains(self) -> Array:
+        """Typical size of each coordinate: 1/L for bending and torsion, 1 % for shear and stretch."""
+        sizes = [1.0 / self.rod.length if c < 3 else 0.01 for c in self.rod.strain_set.free]
+        return np.tile(sizes, self.nodes)
+
+    @property
+    def nominal_residual(self) -> Array:
+        """Typical size of each residual row: EI/L for moments, EI/L^2 for forces."""
+        moment = min(self.rod.stiffness[:2]) / self.rod.length
+        sizes = [moment if c < 3 else moment / self.rod.length for c in self.rod.strain_set.free]
+        return np.tile(sizes, self.nodes)
+
+    @property
+    def damped(self) -> bool:
+        """Whether the material damps every free strain."""
+        terms = [t for t in self.terms if isinstance(t, KelvinVoigt)]
+        return all(any(t.coefficient(c) > 0.0 for t in terms) for c in self.rod.strain_set.free)
+
+    # Equations -------------------------------------------------------------------------------------------------------
+
+    def balance(self, strains: ca.SX, rates: ca.SX, accelerations: ca.SX | None, u: ca.SX) -> Balance:
+        """Symbolic balance for given coordinates, rates, accelerations (None: without inertia) and stacked inputs."""
+        parts: dict[str, ca.SX] = {}
+        start = 0
+        for item in self.inputs:
+            parts[item.name] = u[start : start + item.size]
+            start += item.size
+        still = ca.SX(self.n_strains, 1)
+        moving = accelerations is not None
+        return Balance(
+            self.rod, self.terms, self.rule, strains, rates, accelerations if moving else still, parts, inertia=moving
+        )
+
+    @cached_property
+    def static_balance(self) -> tuple[ca.SX, ca.SX, Balance]:
+        """Symbols (xi, u) and the balance at rest."""
+        xi, u = ca.SX.sym("xi", self.n_strains), ca.SX.sym("u", self.n_inputs)
+        return xi, u, self.balance(xi, ca.SX(self.n_strains, 1), None, u)
+
+    @cached_property
+    def dynamic_balance(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, Balance]:
+        """Symbols (xi, xi_t, xi_tt, u) and the balance in motion."""
+        xi, xi_t, xi_tt = (ca.SX.sym(name, self.n_strains) for name in ("xi", "xi_t", "xi_tt"))
+        u = ca.SX.sym("u", self.n_inputs)
+        return xi, xi_t, xi_tt, u, self.balance(xi, xi_t, xi_tt, u)
+
+    @cached_property
+    def acceleration(self) -> ca.Function:
+        """``(xi, xi_t, u) -> xi_tt``: the balance is linear in the accelerations; solved exactly."""
+        xi, xi_t, xi_tt, u, balance = self.dynamic_balance
+        scale = 1.0 / ca.DM(self.nominal_residual)
+        mass = ca.jacobian(balance.residual, xi_tt)
+        rest = ca.substitute(balance.residual, xi_tt, ca.SX.zeros(self.n_strains))
+        parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
+        x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", self.n_inputs)
+        m, r = parts(x, v, w)
+        return ca.Function("acceleration", [x, v, w], [-ca.solve(m, r, "qr")], ["xi", "xi_t", "u"], ["xi_tt"])
+
+    def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike) -> Array:
+        """Stack a state [xi, xi_t, u] from its parts."""
+        n = self.n_strains
+        return np.concatenate(
+            [
+                finite_array(strains, "strains", (n,)),
+                finite_array(rates, "rates", (n,)),
+                self.checked_inputs(u, "u", (self.n_inputs,)),
+            ]
+        )
+
+    def checked_inputs(self, u: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+        """Inputs as an array; a displacement that would shorten a tendon to nothing raises."""
+        array = finite_array(u, name, shape)
+        start = 0
+        pulled = {t.name for t in self.terms if isinstance(t, Tendons) and isinstance(t.drive, Displacement)}
+        for item in self.inputs:
+            if item.name in pulled:
+                most = float(np.max(array[..., start : start + item.size], initial=0.0))
+                if most >= self.rod.length:
+                    raise ValueError(
+                        f"{name} pulls a tendon by {most:g} m, but the tendon is {self.rod.length:g} m long; give metres"
+                    )
+            start += item.size
+        return array
+
+    # Front doors -----------------------------------------------------------------------------------------------------
+
+    def statics(self) -> Statics:
+        """Static equilibria: see ``Statics``."""
+        from pisplit.models.rod.statics import Statics
+
+        return Statics(self)
+
+    def simulator(self, dt: float, **options: object) -> Simulator:
+        """Dynamics over steps of ``dt`` seconds: see ``Simulator``."""
+        from pisplit.models.rod.dynamics import Simulator
+
+        return Simulator(self, dt, **options)  # type: ignore[arg-type]
+
+    def linearise(self, state: ArrayLike) -> Linearisation:
+        """Linear dynamics about a state: see ``Linearisation``."""
+        from pisplit.models.rod.linear import linearise
+
+        return linearise(self, state)
+
+    def fields(self, x: ArrayLike, stations: int | ArrayLike = 6) -> Array:
+        """The 24 fields (p, R, v, w, q, omega) of states ``x`` (..., n_states) at stations: (..., S, 24); see ``Fields``."""
+        return self.field_map(stations).evaluate(x)
+
+    def field_map(self, stations: int | ArrayLike = 6) -> Fields:
+        """The map from states to fields at stations, kept for reuse."""
+        from pisplit.models.rod.fields import Fields, station_points
+
+        points = station_points(stations, self.rod.length)
+        cache = self.__dict__.setdefault("_fields", {})
+        if points not in cache:
+            cache[points] = Fields(self, points)
+        found: Fields = cache[points]
+        return found

@@ -1,0 +1,256 @@
+"""Static equilibria by CasADi's rootfinders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from tqdm import tqdm
+
+from pisplit.checks import Array, finite_array
+from pisplit.models.rod.scene import Scene
+
+#: Largest scaled residual (parts of EI/L) of a state that counts as an equilibrium.
+TOLERANCE = 1e-8
+CONTINUATION_STEPS = 8
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A static equilibrium, or the best that was found.
+
+    Attributes:
+        state: [xi, 0, u] (n_states,).
+        success: whether the residual is below tolerance.
+        residual: largest residual in parts of EI/L (moments) and EI/L^2 (forces).
+        iterations: Newton iterations of the solver that ended the search.
+        solver: ``"kinsol"``, ``"newton"`` or ``"continuation"``.
+        tensions: tendon tensions in N.
+        slack: by how much each tendon is longer than its path, in m (0 when taut).
+        message: why the search failed, empty on success.
+    """
+
+    state: Array
+    success: bool
+    residual: float
+    iterations: int
+    solver: str
+    tensions: Array
+    slack: Array
+    message: str = ""
+    scene: Scene = field(repr=False, compare=False, kw_only=True)
+
+    @property
+    def strains(self) -> Array:
+        """Free strains xi (n_strains,)."""
+        return self.state[: self.scene.n_strains]
+
+    def pose(self, s: float) -> tuple[Array, Array]:
+        """Position (3,) in m and rotation (3, 3) at arclength ``s`` in m."""
+        y = self.scene.field_map([s]).evaluate(self.state)[0]
+        return y[:3], y[3:12].reshape(3, 3)
+
+    @property
+    def tip(self) -> Array:
+        """Position of the tip (3,) in m."""
+        return self.pose(self.scene.rod.length)[0]
+
+
+@dataclass(frozen=True)
+class EquilibriumBatch:
+    """Equilibria of many inputs: ``states`` (N, n_states), ``success`` (N,), ``residual`` (N,), ``tensions`` (N, tendons).
+
+    Rows that failed hold the last iterate; ``success`` tells them apart.
+    """
+
+    states: Array
+    success: np.ndarray
+    residual: Array
+    tensions: Array
+
+
+class Statics:
+    """Equilibria of a scene: kinsol first, then Newton, then the inputs and loads in steps.
+
+    The unknowns are scaled by 1/L and the residual by EI/L, so tolerances mean the same for every rod.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    @cached_property
+    def _graph(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Scaled unknowns, inputs, load factor and scaled residual; the load factor multiplies what deforms the rod."""
+        scene = self.scene
+        n = scene.n_strains
+        x, u, load = ca.SX.sym("x", n), ca.SX.sym("u", scene.n_inputs), ca.SX.sym("load")
+        rest = ca.DM(np.tile([scene.rod.rest_strains[c] for c in scene.rod.strain_set.free], scene.nodes))
+        xi = rest + ca.DM(scene.nominal_strains) * x
+        zero = ca.SX(n, 1)
+        residual = scene.balance(xi, zero, None, u).residual / ca.DM(scene.nominal_residual)
+        bare = Scene(scene.rod, nodes=scene.nodes).balance(xi, zero, None, ca.SX(0, 1)).residual
+        return x, u, load, load * residual + (1.0 - load) * bare / ca.DM(scene.nominal_residual)
+
+    @cached_property
+    def residual_function(self) -> ca.Function:
+        """``(x, u) -> residual`` in scaled form."""
+        x, u, load, residual = self._graph
+        return ca.Function("residual", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
+
+    @cached_property
+    def _readings(self) -> ca.Function:
+        xi, u, balance = self.scene.static_balance
+        empty = ca.SX(0, 1)
+        outputs = [balance.loads.outputs.get(name, empty) for name in ("tension", "length", "unpulled_length")]
+        return ca.Function("readings", [xi, u], outputs, {"cse": True})
+
+    def _rootfinder(self, solver: str, loaded: bool) -> ca.Function:
+        x, u, load, residual = self._graph
+        if loaded:
+            function = ca.Function("g", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
+        else:
+            function = ca.Function("g", [x, u, load], [residual], {"cse": True})
+        options: dict[str, object] = {"error_on_fail": True, "abstol": 1e-10, "max_iter": 60, "linear_solver": "qr"}
+        if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
+            options |= {"strategy": "linesearch", "disable_internal_warnings": True}
+        return ca.rootfinder("equilibrium", solver, function, options)
+
+    @cached_property
+    def kinsol(self) -> ca.Function:
+        """``(x_guess, u) -> x`` in scaled unknowns."""
+        return self._rootfinder("kinsol", True)
+
+    @cached_property
+    def newton(self) -> ca.Function:
+        """``(x_guess, u) -> x`` in scaled unknowns, by damped Newton."""
+        return self._rootfinder("newton", True)
+
+    @cached_property
+    def _continuation(self) -> ca.Function:
+        return self._rootfinder("newton", False)
+
+    # Solving ---------------------------------------------------------------------------------------------------------
+
+    def solve(self, u: ArrayLike | None = None, guess: ArrayLike | None = None) -> Equilibrium:
+        """Equilibrium under inputs ``u`` (n_inputs,), from the straight rod or from the state or strains ``guess``.
+
+        A failed search is returned with ``success=False`` and a message, never raised.
+        """
+        scene = self.scene
+        u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
+        x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
+        x, iterations, solver = self._search(u, x0)
+        residual = self._worst(x, u)
+        success = bool(residual <= TOLERANCE)
+        tensions, slack = self._read(x, u)
+        return Equilibrium(
+            state=np.concatenate([self._strains(x), np.zeros(scene.n_strains), u]),
+            success=success,
+            residual=residual,
+            iterations=iterations,
+            solver=solver,
+            tensions=tensions,
+            slack=slack,
+            message=""
+            if success
+            else f"no equilibrium found: residual {residual:.1e} EI/L after kinsol, Newton, continuation",
+            scene=scene,
+        )
+
+    def solve_many(self, inputs: ArrayLike, progress: bool = False, chunk: int = 512) -> EquilibriumBatch:
+        """Equilibria under each row of ``inputs`` (N, n_inputs), each from the straight rod; see ``EquilibriumBatch``."""
+        scene = self.scene
+        rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
+        found = np.empty((len(rows), scene.n_strains))
+        worst = np.empty(len(rows))
+        guess = self._affine_guess(rows)
+        for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
+            block = rows[start : start + chunk]
+            x = self._solve_block(guess(block), block)
+            g = np.abs(np.asarray(self.residual_function.map(len(block))(x.T, block.T)))
+            found[start : start + len(block)] = x
+            worst[start : start + len(block)] = np.where(np.isfinite(g), g, np.inf).max(axis=0, initial=0.0)
+        for k in np.flatnonzero(worst > TOLERANCE):
+            found[k], _, _ = self._search(rows[k], np.zeros(scene.n_strains))
+            worst[k] = self._worst(found[k], rows[k])
+        states = np.hstack([self._strains(found), np.zeros_like(found), rows])
+        readings = self._readings.map(len(rows)) if len(rows) else None
+        tensions = np.asarray(readings(self._strains(found).T, rows.T)[0]).T if readings else np.empty((0, 0))
+        return EquilibriumBatch(states, worst <= TOLERANCE, worst, tensions)
+
+    def _affine_guess(self, rows: Array) -> Callable[[Array], Array]:
+        """A guess affine in u, fitted to the equilibria of the first rows: a third of the iterations of a zero guess."""
+        n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
+        if len(rows) < 4 * pilots:
+            return lambda block: np.zeros((len(block), n))
+        solved = np.array([self._search(u, np.zeros(n))[0] for u in rows[:pilots]])
+        lift = np.hstack([np.ones((pilots, 1)), rows[:pilots]])
+        coefficients = np.linalg.lstsq(lift, solved, rcond=None)[0]
+        return lambda block: coefficients[0] + block @ coefficients[1:]
+
+    def _solve_block(self, guess: Array, block: Array) -> Array:
+        """kinsol on every row; a failing row aborts a whole map, so such a block is solved row by row."""
+        try:
+            return np.asarray(self.kinsol.map(len(block))(guess.T, block.T)).T
+        except RuntimeError:
+            return np.array([_attempt(self.kinsol, x, u) for x, u in zip(guess, block, strict=True)])
+
+    def _search(self, u: Array, x0: Array) -> tuple[Array, int, str]:
+        """Solver after solver until one converges; the last iterate, its iterations and the solver's name."""
+        for name, solver in (("kinsol", self.kinsol), ("newton", self.newton)):
+            x = _attempt(solver, x0, u)
+            if self._worst(x, u) <= TOLERANCE:
+                return x, _iterations(solver), name
+        for steps in (CONTINUATION_STEPS, 4 * CONTINUATION_STEPS, 16 * CONTINUATION_STEPS):
+            x = np.zeros_like(x0)
+            total = 0
+            for load in np.linspace(0.0, 1.0, steps + 1)[1:]:
+                x = _attempt(self._continuation, x, u, load)
+                total += _iterations(self._continuation)
+                if not np.all(np.isfinite(x)):
+                    break
+            if self._worst(x, u) <= TOLERANCE:
+                break
+        return (x if np.all(np.isfinite(x)) else x0), total, "continuation"
+
+    def _worst(self, x: Array, u: Array) -> float:
+        g = np.abs(np.asarray(self.residual_function(x, u)))
+        return float(g.max(initial=0.0)) if np.all(np.isfinite(g)) else float("inf")
+
+    def _read(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Tensions in N and slack in m of every tendon; tendons driven by tension are never slack."""
+        tension, length, unpulled = (np.asarray(v).ravel() for v in self._readings(self._strains(x), u))
+        return tension, np.maximum(0.0, unpulled - length)
+
+    def _strains(self, x: Array) -> Array:
+        rest = np.tile([self.scene.rod.rest_strains[c] for c in self.scene.rod.strain_set.free], self.scene.nodes)
+        strains: Array = rest + x * self.scene.nominal_strains
+        return strains
+
+    def _scaled(self, guess: ArrayLike) -> Array:
+        values = np.asarray(guess, float).ravel()
+        if values.size not in (self.scene.n_strains, self.scene.n_states):
+            raise ValueError(
+                f"guess has {values.size} entries; expected {self.scene.n_states} (a state) or {self.scene.n_strains} (strains)"
+            )
+        rest = self._strains(np.zeros(self.scene.n_strains))
+        scaled: Array = (
+            finite_array(values[: self.scene.n_strains], "guess", (None,)) - rest
+        ) / self.scene.nominal_strains
+        return scaled
+
+
+def _attempt(solver: ca.Function, x0: Array, *parameters: Array | float) -> Array:
+    """One call of a rootfinder; NaN where it fails."""
+    try:
+        return np.asarray(solver(x0, *parameters)).ravel()
+    except RuntimeError:
+        return np.full(len(x0), np.nan)
+
+
+def _iterations(solver: ca.Function) -> int:
+    return int(solver.stats().get("iter_count", 0))

@@ -1,0 +1,76 @@
+"""Strain sets: which strains of the rod are free, and how frames follow from them.
+
+The free strains at the Gauss nodes are the generalised coordinates. Strains that a set does not free keep
+their rest values, as exact zeros and ones in the graph, so that CasADi folds away everything that depends on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from pisplit.models.rod.gauss import GaussRule
+from pisplit.models.rod.rotations import compose, exponential, rotation_about_y, rotation_matrix
+
+#: Order of the six strain components: bending about body axes 1 and 2, torsion, shear along 1 and 2, stretch.
+COMPONENTS = ("w1", "w2", "w3", "v1", "v2", "v3")
+
+
+@dataclass(frozen=True)
+class StrainSet:
+    """Free strain components of a rod, by index into ``COMPONENTS``."""
+
+    name: str
+    free: tuple[int, ...]
+
+    @property
+    def n_fields(self) -> int:
+        """Number of free strain components."""
+        return len(self.free)
+
+    @property
+    def planar(self) -> bool:
+        """Whether the rod only bends about body axis 2, in the x-z plane."""
+        return not {0, 2, 3} & set(self.free)
+
+    def split(self, values: ca.SX, rest: Sequence[float]) -> tuple[ca.SX, ca.SX]:
+        """Strains (w, v), each (3,), from the free components and the rest values of the others."""
+        full = ca.SX(ca.DM(list(rest)))
+        for row, component in enumerate(self.free):
+            full[component] = values[row]
+        return full[:3], full[3:]
+
+    def frames(self, w_nodes: Sequence[ca.SX], rule: GaussRule, s: Sequence[float]) -> list[ca.SX]:
+        """Rotation matrices at increasing arclengths ``s`` from the strains ``w`` at the nodes; R(0) = I.
+
+        Planar rods integrate the angle exactly. Otherwise fourth-order Magnus steps from point to point
+        (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta Numerica 2000): for R' = R hat(w),
+        Omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 at the two Gauss points of each step.
+        """
+        if self.planar:
+            curvature = ca.vertcat(*[w[1] for w in w_nodes])
+            return [rotation_about_y(ca.mtimes(ca.DM(row[None, :]), curvature)) for row in rule.integrate_to(s)]
+        w_all = ca.horzcat(*w_nodes)
+        frames = []
+        frame = ca.SX(ca.DM([1.0, 0.0, 0.0, 0.0]))
+        start = 0.0
+        for end in s:
+            h = end - start
+            if h > 0.0:
+                points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
+                w_1, w_2 = ca.horzsplit(ca.mtimes(w_all, ca.DM(rule.interpolate(points).T)))
+                turn = 0.5 * h * (w_1 + w_2) + np.sqrt(3.0) / 12.0 * h * h * ca.cross(w_1, w_2)
+                frame = compose(frame, exponential(turn))
+            frames.append(rotation_matrix(frame))
+            start = end
+        return frames
+
+
+STRAIN_SETS = {
+    "cosserat": StrainSet("cosserat", (0, 1, 2, 3, 4, 5)),
+    "kirchhoff": StrainSet("kirchhoff", (0, 1, 2)),
+    "planar": StrainSet("planar", (1,)),
+}

@@ -1,0 +1,59 @@
+"""The tendon-driven arm of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.models import rod
+
+
+@dataclass(frozen=True)
+class TendonArm:
+    """An elastic backbone with parallel tendons that are pulled by displacements.
+
+    Attributes:
+        scene: backbone, environment and tendons: the arm itself.
+        passive: the same without tendons: the known part f.
+        pretension: common displacement in m of all tendons at rest; it keeps them taut.
+        amplitude: usual size in m of differential displacements.
+    """
+
+    scene: rod.Scene
+    pretension: float
+    amplitude: float
+
+    @classmethod
+    def paper(cls, nodes: int = 5) -> TendonArm:
+        """The arm of the paper: three tendons at 0, 120 and 240 degrees on a steel backbone of 0.7144 m.
+
+        The paper does not print its numbers; it refers to those of Till, Aloi & Rucker (*Real-time dynamics of soft and
+        continuum robots based on Cosserat rod models*, IJRR 2019). These are the parameters of the public tendon-robot
+        example that goes with that article: E = 207 GPa, G = E / 2.6, radius 0.675 mm, total mass 0.034 kg, tendon offset
+        15.06 mm, tendon compliance 1e-4 1/N, bending and torsion damping 5e-4 N m^2 s, quadratic drag 1e-4 N s^2/m^3,
+        gravity 9.81 m/s^2 along -x (the arm points sideways).
+        """
+        length, radius = 0.7144, 0.675e-3
+        section = rod.Circle(radius)
+        material = rod.Elastic(young=207e9, shear=207e9 / 2.6, density=0.034 / (length * section.area))
+        scene = rod.Scene(
+            rod.Rod(length=length, section=section, material=material, strains="kirchhoff"),
+            rod.Gravity((-9.81, 0.0, 0.0)),
+            rod.KelvinVoigt(bending=5e-4, torsion=5e-4),
+            rod.QuadraticDrag(1e-4),
+            rod.Tendons.parallel(offset=15.06e-3, angles_deg=(0, 120, 240), drive=rod.Displacement(compliance=1e-4)),
+            nodes=nodes,
+        )
+        return cls(scene, pretension=1e-3, amplitude=10e-3)
+
+    @property
+    def passive(self) -> rod.Scene:
+        """The arm without its tendons."""
+        return self.scene.without(rod.Tendons)
+
+    @property
+    def rest_inputs(self) -> Array:
+        """Displacements (m,) of the pretensioned arm at rest."""
+        return np.full(self.scene.n_inputs, self.pretension)
