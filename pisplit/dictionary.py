@@ -149,9 +149,8 @@ class Dictionary:
     @cached_property
     def lift_function(self) -> ca.Function:
         """psi: (x_history (n, D+1), u_history (m, D)) -> z (M_z,), columns are times, oldest first."""
-        kind = (
-            ca.SX if self._state_part.function.is_a("SXFunction") and self.input_function.is_a("SXFunction") else ca.MX
-        )
+        in_sx = self._state_part.function.is_a("SXFunction") and self.input_function.is_a("SXFunction")
+        kind: Any = ca.SX if in_sx else ca.MX
         last = self.n_delays
         x = kind.sym("x_history", self.n_states, last + 1)
         u = kind.sym("u_history", self.n_inputs, last)

@@ -180,7 +180,7 @@ class Scene:
         parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
         x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", self.n_inputs)
         m, r = parts(x, v, w)
-        return ca.Function("acceleration", [x, v, w], [-ca.solve(m, r, "qr")], ["xi", "xi_t", "u"], ["xi_tt"])
+        return ca.Function("acceleration", [x, v, w], [-ca.solve(m, r, "qr", {"eps": 1e-30})], ["xi", "xi_t", "u"], ["xi_tt"])
 
     def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike) -> Array:
         """Stack a state [xi, xi_t, u] from its parts."""
