@@ -31,9 +31,9 @@ class TendonArm:
 
         The paper does not print its numbers; it refers to those of Till, Aloi & Rucker (*Real-time dynamics of soft and
         continuum robots based on Cosserat rod models*, IJRR 2019). These are the parameters of the public tendon-robot
-        example that goes with that article: E = 207 GPa, G = E / 2.6, radius 0.675 mm, total mass 0.034 kg, tendon offset
-        15.06 mm, tendon compliance 1e-4 1/N, bending and torsion damping 5e-4 N m^2 s, quadratic drag 1e-4 N s^2/m^3,
-        gravity 9.81 m/s^2 along -x (the arm points sideways).
+        example that goes with that article: E = 207 GPa, G = E / 2.6, radius 0.675 mm, total mass 0.034 kg, tendon
+        offset 15.06 mm, tendon compliance 1e-4 1/N, bending and torsion damping 5e-4 N m^2 s, quadratic drag
+        1e-4 N s^2/m^3, gravity 9.81 m/s^2 along -x (the arm points sideways).
         """
         length, radius = 0.7144, 0.675e-3
         section = rod.Circle(radius)
@@ -52,6 +52,12 @@ class TendonArm:
     def passive(self) -> rod.Scene:
         """The arm without its tendons."""
         return self.scene.without(rod.Tendons)
+
+    @property
+    def tendon_angles(self) -> Array:
+        """Angle (m,) of each tendon about the backbone in rad."""
+        tendons = next(t for t in self.scene.terms if isinstance(t, rod.Tendons))
+        return np.arctan2(*np.asarray(tendons.offsets).T[::-1])
 
     @property
     def rest_inputs(self) -> Array:

@@ -94,7 +94,7 @@ class Balance:
 
     @cached_property
     def strain_v(self) -> ca.SX:
-        """Shear and stretch strains at the nodes (3, K); where they are not free, from the force the material carries."""
+        """Shear and stretch strains at the nodes (3, K); those that are not free follow from the force carried."""
         free = self.rod.strain_set.free
         rows = []
         for axis in range(3):
@@ -115,6 +115,7 @@ def collect_inputs(terms: tuple[Term, ...]) -> tuple[Input, ...]:
             known = found.setdefault(item.name, item)
             if known.size != item.size:
                 raise ValueError(
-                    f"input {item.name!r} has size {item.size} in one term and {known.size} in another; give them different names"
+                    f"input {item.name!r} has size {item.size} in one term and {known.size} in another; "
+                    "give them different names"
                 )
     return tuple(found.values())

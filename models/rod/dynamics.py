@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -65,8 +65,8 @@ class Simulator:
         stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
 
     The iteration matrix of the integrator leaves out how inertia forces change with shape and rate (they scale with the
-    square of the internal step, about 1 ms); mass, stiffness, damping and drag are exact. The answer is the same, for half the
-    cost.
+    square of the internal step, about 1 ms); mass, stiffness, damping and drag are exact. The answer is the same, for
+    half the cost.
     """
 
     def __init__(
@@ -85,10 +85,10 @@ class Simulator:
     # Trajectories ----------------------------------------------------------------------------------------------------
 
     def run(self, u: ArrayLike, x0: ArrayLike | None = None) -> Trajectory:
-        """Trajectory under commands ``u`` (T, n_inputs) from state ``x0``, or from equilibrium at rest under zero inputs.
+        """Trajectory under commands ``u`` (T, n_inputs) from state ``x0``, or from rest under zero inputs.
 
-        With first-order hold the inputs start where ``x0`` has them and reach ``u[k]`` at the end of step k. An integrator that
-        gives up ends the trajectory at the last good step (``success=False``); it never raises.
+        With first-order hold the inputs start where ``x0`` has them and reach ``u[k]`` at the end of step k. An
+        integrator that gives up ends the trajectory at the last good step (``success=False``); it never raises.
         """
         commands = self.scene.checked_inputs(u, "u", (None, self.scene.n_inputs))
         if len(commands) == 0:
@@ -102,7 +102,7 @@ class Simulator:
             success = not message
         done = len(states)
         return Trajectory(
-            t=self.dt * np.arange(done + 1),
+            t=self.dt * np.arange(done + 1, dtype=np.float64),
             x=np.vstack([start, np.hstack([states, commands[:done]])]),
             u=commands[:done].copy(),
             success=success,
@@ -142,7 +142,8 @@ class Simulator:
 
     def _as_far_as_possible(self, start: Array, commands: Array) -> tuple[Array, dict[str, int], str]:
         """Step by step until a step fails."""
-        states, state, total = [], start, dict.fromkeys(_COUNTERS, 0)
+        states: list[Array] = []
+        state, total = start, dict.fromkeys(_COUNTERS, 0)
         for k, command in enumerate(commands):
             try:
                 found, stats = self._integrate(state, command[None, :])
@@ -224,7 +225,7 @@ class Simulator:
             [f"jac_residual_{name}" for name in names],
             {"cse": True},
         )
-        options = {
+        options: dict[str, Any] = {
             "cse": True,
             "custom_jacobian": jacobian,
             "never_inline": True,
@@ -242,9 +243,9 @@ class Simulator:
     def _build(self, steps: int, correct_first: bool) -> ca.Function:
         """IDAS over a grid of steps, in the deviation from a motion with the right first derivative.
 
-        CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: without correction 7 % of
-        the starts fail, with ``calc_ic`` a step costs twice as much. With y = y0 + y0' T (1 - exp(-t/T)) + deviation, the
-        deviation truly starts with zero derivative.
+        CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: without correction
+        7 % of the starts fail, with ``calc_ic`` a step costs twice as much. With
+        y = y0 + y0' T (1 - exp(-t/T)) + deviation, the deviation truly starts with zero derivative.
         """
         scene = self.scene
         n, m = scene.n_strains, scene.n_inputs

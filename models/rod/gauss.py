@@ -56,7 +56,7 @@ class GaussRule:
 
     def _legendre(self, s: ArrayLike) -> Array:
         x = 2.0 * np.atleast_1d(np.asarray(s, float)) / self.length - 1.0
-        return np.polynomial.legendre.legvander(x, self.n_nodes - 1)
+        return np.polynomial.legendre.legvander(x, self.n_nodes - 1).astype(np.float64)
 
     @cached_property
     def _to_legendre(self) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import Array, finite_array
 
@@ -29,9 +29,9 @@ class Linearisation:
     stress_ports: Array
 
     @property
-    def eigenvalues(self) -> Array:
+    def eigenvalues(self) -> NDArray[np.complex128]:
         """Eigenvalues of A in 1/s, slowest first."""
-        values = np.linalg.eigvals(self.A)
+        values = np.linalg.eigvals(self.A).astype(np.complex128)
         return values[np.argsort(np.abs(values))]
 
 

@@ -8,8 +8,8 @@ import casadi as ca
 def exponential(omega: ca.SX) -> ca.SX:
     """Unit quaternion (4,), scalar first, of exp(hat(omega)) for a rotation vector (3,) in rad.
 
-    The angle is ``sqrt(|omega|^2 + 1e-12)``: smooth through zero, no branch; the quaternion has unit length to 1e-13 and
-    its first derivatives are right to 1e-10.
+    The angle is ``sqrt(|omega|^2 + 1e-12)``: smooth through zero, no branch; the quaternion has unit length to
+    1e-13 and its first derivatives are right to 1e-10.
     """
     half = 0.5 * ca.sqrt(ca.dot(omega, omega) + 1e-12)
     return ca.vertcat(ca.cos(half), (0.5 * ca.sin(half) / half) * omega)

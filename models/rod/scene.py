@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Scene:
     """A rod with the terms that act on it; immutable. Only what it contains is in its equations.
 
-    The state is ``[xi, xi_t, u]``: free strains at the Gauss nodes (node by node), their rates, and the inputs as they act
-    at that moment (servo positions of displaced tendons included). ``scene + term``, ``scene - term``,
+    The state is ``[xi, xi_t, u]``: free strains at the Gauss nodes (node by node), their rates, and the inputs as they
+    act at that moment (servo positions of displaced tendons included). ``scene + term``, ``scene - term``,
     ``scene.replace(term)`` and ``scene.without(TermType)`` give new scenes.
 
     Args:
@@ -82,6 +82,15 @@ class Scene:
     def with_nodes(self, nodes: int) -> Scene:
         """The scene on another number of nodes."""
         return Scene(self.rod, *self.terms, nodes=nodes)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (self.rod, self.terms, self.nodes)  # graphs are rebuilt, not pickled
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scene) and self.__reduce__() == other.__reduce__()
+
+    def __hash__(self) -> int:
+        return hash((self.rod, self.terms, self.nodes))
 
     def __str__(self) -> str:
         r = self.rod
@@ -151,11 +160,9 @@ class Scene:
         for item in self.inputs:
             parts[item.name] = u[start : start + item.size]
             start += item.size
-        still = ca.SX(self.n_strains, 1)
-        moving = accelerations is not None
-        return Balance(
-            self.rod, self.terms, self.rule, strains, rates, accelerations if moving else still, parts, inertia=moving
-        )
+        inertia = accelerations is not None
+        moving = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
+        return Balance(self.rod, self.terms, self.rule, strains, rates, moving, parts, inertia=inertia)
 
     @cached_property
     def static_balance(self) -> tuple[ca.SX, ca.SX, Balance]:
@@ -180,7 +187,9 @@ class Scene:
         parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
         x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", self.n_inputs)
         m, r = parts(x, v, w)
-        return ca.Function("acceleration", [x, v, w], [-ca.solve(m, r, "qr", {"eps": 1e-30})], ["xi", "xi_t", "u"], ["xi_tt"])
+        return ca.Function(
+            "acceleration", [x, v, w], [-ca.solve(m, r, "qr", {"eps": 1e-30})], ["xi", "xi_t", "u"], ["xi_tt"]
+        )
 
     def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike) -> Array:
         """Stack a state [xi, xi_t, u] from its parts."""
@@ -203,7 +212,7 @@ class Scene:
                 most = float(np.max(array[..., start : start + item.size], initial=0.0))
                 if most >= self.rod.length:
                     raise ValueError(
-                        f"{name} pulls a tendon by {most:g} m, but the tendon is {self.rod.length:g} m long; give metres"
+                        f"{name} pulls a tendon of {self.rod.length:g} m by {most:g} m; give metres below its length"
                     )
             start += item.size
         return array
@@ -229,7 +238,7 @@ class Scene:
         return linearise(self, state)
 
     def fields(self, x: ArrayLike, stations: int | ArrayLike = 6) -> Array:
-        """The 24 fields (p, R, v, w, q, omega) of states ``x`` (..., n_states) at stations: (..., S, 24); see ``Fields``."""
+        """The 24 fields (p, R, v, w, q, omega) of states ``x`` (..., n_states) at S stations, (..., S, 24)."""
         return self.field_map(stations).evaluate(x)
 
     def field_map(self, stations: int | ArrayLike = 6) -> Fields:
@@ -242,3 +251,7 @@ class Scene:
             cache[points] = Fields(self, points)
         found: Fields = cache[points]
         return found
+
+
+def _rebuild(body: Rod, terms: tuple[Term, ...], nodes: int) -> Scene:
+    return Scene(body, *terms, nodes=nodes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -62,7 +63,7 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class EquilibriumBatch:
-    """Equilibria of many inputs: ``states`` (N, n_states), ``success`` (N,), ``residual`` (N,), ``tensions`` (N, tendons).
+    """Equilibria of many inputs: ``states`` (N, n_states), ``success``, ``residual`` (N,), ``tensions`` (N, tendons).
 
     Rows that failed hold the last iterate; ``success`` tells them apart.
     """
@@ -114,7 +115,7 @@ class Statics:
             function = ca.Function("g", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
         else:
             function = ca.Function("g", [x, u, load], [residual], {"cse": True})
-        options: dict[str, object] = {"error_on_fail": True, "abstol": 1e-10, "max_iter": 60, "linear_solver": "qr"}
+        options: dict[str, Any] = {"error_on_fail": True, "abstol": 1e-10, "max_iter": 60, "linear_solver": "qr"}
         if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
             options |= {"strategy": "linesearch", "disable_internal_warnings": True}
         return ca.rootfinder("equilibrium", solver, function, options)
@@ -162,7 +163,7 @@ class Statics:
         )
 
     def solve_many(self, inputs: ArrayLike, progress: bool = False, chunk: int = 512) -> EquilibriumBatch:
-        """Equilibria under each row of ``inputs`` (N, n_inputs), each from the straight rod; see ``EquilibriumBatch``."""
+        """Equilibria under each row of ``inputs`` (N, n_inputs): one ``EquilibriumBatch``."""
         scene = self.scene
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         found = np.empty((len(rows), scene.n_strains))
@@ -183,7 +184,7 @@ class Statics:
         return EquilibriumBatch(states, worst <= TOLERANCE, worst, tensions)
 
     def _affine_guess(self, rows: Array) -> Callable[[Array], Array]:
-        """A guess affine in u, fitted to the equilibria of the first rows: a third of the iterations of a zero guess."""
+        """A guess affine in u, fitted to the equilibria of the first rows: a third of a zero guess's iterations."""
         n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
         if len(rows) < 4 * pilots:
             return lambda block: np.zeros((len(block), n))
@@ -235,7 +236,8 @@ class Statics:
         values = np.asarray(guess, float).ravel()
         if values.size not in (self.scene.n_strains, self.scene.n_states):
             raise ValueError(
-                f"guess has {values.size} entries; expected {self.scene.n_states} (a state) or {self.scene.n_strains} (strains)"
+                f"guess has {values.size} entries; expected {self.scene.n_states} (a state) "
+                f"or {self.scene.n_strains} (strains)"
             )
         rest = self._strains(np.zeros(self.scene.n_strains))
         scaled: Array = (

@@ -18,8 +18,8 @@ from pisplit.models.rod.loads import Input, Loads
 class Displacement:
     """Each tendon is pulled by a displacement u_i in m (positive pulls): tension from its elastic stretch.
 
-    ``tau_i = max(0, (l_i - l*_i) / (c l*_i))`` with ``l*_i = L_i - u_i`` and the path length ``l_i``; a slack tendon carries
-    nothing. The corner at slack is rounded over ``slack_smoothing``.
+    ``tau_i = max(0, (l_i - l*_i) / (c l*_i))`` with ``l*_i = L_i - u_i`` and the path length ``l_i``; a slack tendon
+    carries nothing. The corner at slack is rounded over ``slack_smoothing``.
 
     Args:
         compliance: c in 1/N, strain of the tendon per newton.
