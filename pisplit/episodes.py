@@ -279,7 +279,7 @@ def excited_directions(inputs: Array) -> tuple[Array, Array]:
     """
     offset = inputs.mean(axis=0)
     _, values, directions = np.linalg.svd(inputs - offset, full_matrices=False)
-    rounding = np.finfo(float).eps * float(np.abs(inputs).max(initial=0.0)) * np.sqrt(len(inputs))
+    rounding = np.finfo(float).eps * float(np.abs(inputs).max(initial=0.0)) * len(inputs)
     excited = values > max(EXCITED * float(values.max(initial=0.0)), rounding)
     return offset, directions[excited].T.copy()
 
