@@ -64,7 +64,7 @@ def reading(path: str | os.PathLike[str], kind: str) -> Iterator[h5py.File]:
             )
         try:
             yield file
-        except (KeyError, OSError) as error:
+        except (KeyError, OSError, RuntimeError) as error:  # RuntimeError: a CasADi function that cannot be read
             raise ValueError(f"{target} is incomplete or damaged: {_one_line(error)}") from None
 
 
