@@ -17,6 +17,7 @@ from pisplit.models.rod.loads import Input, Loads, Term
 class Balance:
     """Weak form of the Cosserat equations at the Gauss nodes.
 
+    ``dead_force`` (3, K) in N/m adds a force per length that does not depend on the motion.
     Statics is the same balance with exact zeros as rates and no inertia: nothing of the motion is left in its graph.
 
     With loads f, l per length and a wrench at the tip, forces and moments come from the tip:
@@ -36,6 +37,7 @@ class Balance:
     accelerations: ca.SX
     inputs: dict[str, ca.SX]
     inertia: bool = True
+    dead_force: ca.SX | None = None
 
     @cached_property
     def motion(self) -> Motion:
@@ -54,6 +56,8 @@ class Balance:
     def _force(self) -> ca.SX:
         """World internal force N at the nodes (3, K)."""
         density = self.loads.force
+        if self.dead_force is not None:
+            density = density + self.dead_force
         if self.inertia:
             density = density - self.rod.mass_per_length * self.motion.acceleration
         return ca.repmat(self.loads.tip_force, 1, self.rule.n_nodes) + self.motion.to_tip(density)

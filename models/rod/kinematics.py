@@ -74,7 +74,7 @@ class Motion:
         return self.frames_at(points)
 
     def frames_at(self, points: list[float]) -> list[ca.SX]:
-        """Rotations R at increasing arclengths."""
+        """Rotations R at arclengths."""
         return self.rod.strain_set.frames(ca.horzsplit(self.w), self.rule, points)
 
     @property

@@ -153,16 +153,18 @@ class Scene:
 
     # Equations -------------------------------------------------------------------------------------------------------
 
-    def balance(self, strains: ca.SX, rates: ca.SX, accelerations: ca.SX | None, u: ca.SX) -> Balance:
+    def balance(
+        self, strains: ca.SX, rates: ca.SX, accelerations: ca.SX | None, u: ca.SX, dead_force: ca.SX | None = None
+    ) -> Balance:
         """Symbolic balance for given coordinates, rates, accelerations (None: without inertia) and stacked inputs."""
         parts: dict[str, ca.SX] = {}
         start = 0
         for item in self.inputs:
             parts[item.name] = u[start : start + item.size]
             start += item.size
-        inertia = accelerations is not None
-        moving = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
-        return Balance(self.rod, self.terms, self.rule, strains, rates, moving, parts, inertia=inertia)
+        moving = accelerations is not None
+        motion = (strains, rates, accelerations if moving else ca.SX(self.n_strains, 1))
+        return Balance(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
 
     @cached_property
     def static_balance(self) -> tuple[ca.SX, ca.SX, Balance]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -44,9 +45,10 @@ class StrainSet:
         return full[:3], full[3:]
 
     def frames(self, w_nodes: Sequence[ca.SX], rule: GaussRule, s: Sequence[float]) -> list[ca.SX]:
-        """Rotation matrices at increasing arclengths ``s`` from the strains ``w`` at the nodes; R(0) = I.
+        """Rotation matrices at arclengths ``s`` from the strains ``w`` at the nodes; R(0) = I.
 
-        Planar rods integrate the angle exactly. Otherwise fourth-order Magnus steps from point to point
+        Planar rods integrate the angle exactly. Otherwise fourth-order Magnus steps from node to node, and from the last
+        node to each arclength, so that a frame does not depend on which others are asked for
         (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta Numerica 2000): for R' = R hat(w),
         Omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 at the two Gauss points of each step.
         """
@@ -54,19 +56,26 @@ class StrainSet:
             curvature = ca.vertcat(*[w[1] for w in w_nodes])
             return [rotation_about_y(ca.mtimes(ca.DM(row[None, :]), curvature)) for row in rule.integrate_to(s)]
         w_all = ca.horzcat(*w_nodes)
+        ends = [0.0, *rule.nodes.tolist()]
+        at_ends = [ca.SX(ca.DM([1.0, 0.0, 0.0, 0.0]))]
+        for start, end in pairwise(ends):
+            at_ends.append(compose(at_ends[-1], _turn(w_all, rule, start, end)))
         frames = []
-        frame = ca.SX(ca.DM([1.0, 0.0, 0.0, 0.0]))
-        start = 0.0
-        for end in s:
-            h = end - start
-            if h > 0.0:
-                points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
-                w_1, w_2 = ca.horzsplit(ca.mtimes(w_all, ca.DM(rule.interpolate(points).T)))
-                turn = 0.5 * h * (w_1 + w_2) + np.sqrt(3.0) / 12.0 * h * h * ca.cross(w_1, w_2)
-                frame = compose(frame, exponential(turn))
+        for point in s:
+            last = int(np.searchsorted(ends, point, side="right")) - 1
+            frame = at_ends[last]
+            if point > ends[last]:
+                frame = compose(frame, _turn(w_all, rule, ends[last], point))
             frames.append(rotation_matrix(frame))
-            start = end
         return frames
+
+
+def _turn(w_all: ca.SX, rule: GaussRule, start: float, end: float) -> ca.SX:
+    """Quaternion of one Magnus step."""
+    h = end - start
+    points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
+    w_1, w_2 = ca.horzsplit(ca.mtimes(w_all, ca.DM(rule.interpolate(points).T)))
+    return exponential(0.5 * h * (w_1 + w_2) + np.sqrt(3.0) / 12.0 * h * h * ca.cross(w_1, w_2))
 
 
 STRAIN_SETS = {
