@@ -1,0 +1,226 @@
+"""Data of a tendon arm: trajectories (D1) and phase-space samples of its passive part (D2)."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from pisplit import Episodes, PhaseSamples
+from pisplit.checks import Array, count, non_negative, positive
+from pisplit.models.blocks import Block, discard_blocks, run_blocks
+from pisplit.models.rod.fields import UNITS, Fields
+from pisplit.models.tendon_arm import TendonArm
+
+#: Steps between two random targets of the displacements.
+STEPS_PER_TARGET = 8
+SAMPLES_PER_BLOCK = 500
+ATTEMPTS = 5
+
+
+def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, start: Array | None = None) -> Array:
+    """Smooth random displacements (steps, m) in m: a common pretension and a differential part whose sum is zero.
+
+    The differential part moves between random targets ``a cos(angle_i - direction)`` every 8 steps (raised cosine in
+    between); amplitudes a fill a disc of radius ``arm.amplitude`` evenly. It starts at ``start`` (m,), the arm at rest.
+    """
+    count(steps, "steps")
+    knots = -(-steps // STEPS_PER_TARGET) + 1
+    targets = arm.rest_inputs + random_differential(arm, knots, rng)
+    targets[0] = arm.rest_inputs if start is None else start
+    phase = np.arange(1, steps + 1) / STEPS_PER_TARGET
+    before = np.minimum(phase.astype(int), knots - 2)
+    blend = 0.5 - 0.5 * np.cos(np.pi * (phase - before))[:, None]
+    moves: Array = targets[before] * (1.0 - blend) + targets[before + 1] * blend
+    return moves
+
+
+def random_differential(arm: TendonArm, n: int, rng: np.random.Generator) -> Array:
+    """``n`` random zero-sum displacements (n, m) in m, even over the disc of radius ``arm.amplitude``."""
+    radius = arm.amplitude * np.sqrt(rng.uniform(size=(n, 1)))
+    direction = rng.uniform(-np.pi, np.pi, size=(n, 1))
+    moves: Array = radius * np.cos(arm.tendon_angles[None, :] - direction)
+    return moves
+
+
+@dataclass(frozen=True)
+class EpisodeTask:
+    """One episode from rest: the work of one block of D1. Draws whose simulation fails are recorded and replaced."""
+
+    arm: TendonArm
+    steps: int
+    dt: float
+    rtol: float
+    stations: int
+    seed: int
+
+    def __call__(self, k: int) -> Block:
+        """Episode ``k``: states, inputs, fields."""
+        simulator = _simulator(self.arm, self.dt, self.rtol, self.stations)
+        failures = []
+        for attempt in range(ATTEMPTS):
+            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, k, attempt)))
+            commands = random_displacements(self.arm, self.steps, rng)
+            simulator.reset(self.arm.rest_inputs)
+            trajectory = simulator.run(commands, simulator.state)
+            if trajectory.success:
+                fields = trajectory.fields(self.stations).reshape(self.steps + 1, -1)
+                return {"x": fields, "u": commands, "state": trajectory.x, "failures": np.array(failures, dtype=str)}
+            failures.append(trajectory.message)
+        raise RuntimeError(f"episode {k} failed {ATTEMPTS} times, last: {failures[-1]}")
+
+
+def make_episodes(
+    arm: TendonArm,
+    path: str | os.PathLike[str],
+    episodes: int,
+    steps: int = 200,
+    dt: float = 0.03,
+    rtol: float = 1e-4,
+    stations: int = 6,
+    seed: int = 0,
+    workers: int = -1,
+    progress: bool = True,
+) -> Episodes:
+    """Simulate ``episodes`` trajectories of the arm, store them at ``path`` (HDF5) and return them.
+
+    States are the 24 fields at every station (names, quantities, units in the file); ``extra["state"]`` holds the states
+    [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
+    """
+    count(episodes, "episodes")
+    count(steps, "steps")
+    task = EpisodeTask(arm, steps, positive(dt, "dt", "s"), rtol, count(stations, "stations"), seed)
+    identity = _identity(arm, "episodes", steps=steps, dt=dt, rtol=rtol, stations=stations, seed=seed)
+    parts = f"{os.fspath(path)}.parts"
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    blocks = run_blocks(task, episodes, parts, identity, workers, "episodes", progress)
+    found = arm.scene.field_map(stations)
+    failures = [f"episode {k}: {text}" for k, block in enumerate(blocks) for text in block["failures"]]
+    result = Episodes(
+        [block["x"] for block in blocks],
+        [block["u"] for block in blocks],
+        dt=dt,
+        extra={"state": [block["state"] for block in blocks]},
+        provenance={**identity, "failures": failures},
+        **_labels(arm, found),
+    )
+    result.save(path)
+    discard_blocks(parts)
+    return result
+
+
+@dataclass(frozen=True)
+class PhaseTask:
+    """Static shapes under random displacements with random rates: the work of one block of D2."""
+
+    arm: TendonArm
+    samples: int
+    rate_factor: Array
+    shape_noise: float
+    stations: int
+    seed: int
+
+    def __call__(self, k: int) -> Block:
+        """Block ``k``: fields, inputs, passive derivative of the fields."""
+        statics, derivative = _passive_derivative(self.arm, self.stations)
+        scene = self.arm.scene
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(2, k)))
+        states, failures = np.empty((0, scene.n_states)), []
+        while len(states) < self.samples:
+            wanted = self.samples - len(states)
+            batch = statics.solve_many(self.arm.rest_inputs + random_differential(self.arm, wanted, rng))
+            failures += [f"residual {r:.1e} EI/L" for r in batch.residual[~batch.success]]
+            states = np.vstack([states, batch.states[batch.success]])
+            if len(failures) > ATTEMPTS * self.samples:
+                raise RuntimeError(f"block {k}: {len(failures)} static solves failed, last: {failures[-1]}")
+        n = scene.n_strains
+        states[:, :n] += self.shape_noise * rng.standard_normal((self.samples, n)) * scene.nominal_strains
+        states[:, n : 2 * n] = rng.standard_normal((self.samples, n)) @ self.rate_factor
+        x, xdot = (np.asarray(v).T for v in derivative.map(self.samples)(states.T))
+        return {"x": x, "u": states[:, 2 * n :], "xdot": xdot, "failures": np.array(failures, dtype=str)}
+
+
+def make_phase_samples(
+    arm: TendonArm,
+    path: str | os.PathLike[str],
+    samples: int,
+    rates: Array,
+    shape_noise: float = 0.0,
+    stations: int = 6,
+    seed: int = 0,
+    workers: int = -1,
+    progress: bool = True,
+) -> PhaseSamples:
+    """Sample the phase space of the passive arm, store the samples at ``path`` (HDF5) and return them.
+
+    Shapes are equilibria of the arm under random displacements; rates are Gaussian with the covariance of ``rates``
+    (N, n_strains), taken from simulated trajectories (paper, "Tendon-driven Soft Robot Setup"). ``xdot`` is the time
+    derivative of the fields when the arm moves without its tendons.
+
+    Args:
+        shape_noise: standard deviation of independent noise on every strain at the nodes, in parts of 1/L. Zero is the
+            paper's D2: its shapes span few directions, and a generator fitted to them is undetermined in the others.
+    """
+    count(samples, "samples")
+    factor = np.linalg.cholesky(np.cov(rates.T) + 1e-12 * np.trace(np.cov(rates.T)) * np.eye(rates.shape[1])).T
+    task = PhaseTask(
+        arm, min(samples, SAMPLES_PER_BLOCK), factor, non_negative(shape_noise, "shape_noise"), stations, seed
+    )
+    digest = hashlib.sha256(np.ascontiguousarray(factor)).hexdigest()[:16]
+    identity = _identity(arm, "phase", rates=digest, shape_noise=shape_noise, stations=stations, seed=seed)
+    identity["block"] = task.samples
+    parts = f"{os.fspath(path)}.parts"
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    blocks = run_blocks(task, -(-samples // task.samples), parts, identity, workers, "phase samples", progress)
+    x, u, xdot = (np.concatenate([b[name] for b in blocks])[:samples] for name in ("x", "u", "xdot"))
+    failures = [f"block {k}: {text}" for k, block in enumerate(blocks) for text in block["failures"]]
+    names = _labels(arm, arm.scene.field_map(stations))
+    result = PhaseSamples(
+        x,
+        u,
+        xdot,
+        state_names=names["state_names"],
+        input_names=names["input_names"],
+        provenance={**identity, "failures": failures},
+    )
+    result.save(path)
+    discard_blocks(parts)
+    return result
+
+
+def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:
+    return {
+        "state_names": found.names,
+        "quantities": found.quantities,
+        "units": tuple(UNITS[q] for q in found.quantities),
+        "outputs": found.outputs,
+        "input_names": arm.scene.input_names,
+    }
+
+
+def _identity(arm: TendonArm, kind: str, **settings: Any) -> dict[str, Any]:
+    return {"kind": kind, "arm": str(arm.scene), "pretension": arm.pretension, "amplitude": arm.amplitude, **settings}
+
+
+@lru_cache(maxsize=2)
+def _simulator(arm: TendonArm, dt: float, rtol: float, stations: int) -> Any:
+    return arm.scene.simulator(dt=dt, rtol=rtol, stations=stations)
+
+
+@lru_cache(maxsize=2)
+def _passive_derivative(arm: TendonArm, stations: int) -> tuple[Any, ca.Function]:
+    """Statics of the arm, and ``state -> (fields, time derivative of the fields under the passive part)``."""
+    scene, passive = arm.scene, arm.passive
+    n = scene.n_strains
+    fields = scene.field_map(stations).function
+    x = ca.MX.sym("x", scene.n_states)
+    acceleration = passive.acceleration(x[:n], x[n : 2 * n], ca.MX(passive.n_inputs, 1))
+    flow = ca.vertcat(x[n : 2 * n], acceleration, ca.MX.zeros(scene.n_inputs))
+    y = fields(x)
+    return scene.statics(), ca.Function("passive", [x], [y, ca.jtimes(y, x, flow)])
