@@ -28,7 +28,8 @@ class Equilibrium:
         state: [xi, 0, u] (n_states,).
         success: whether the residual is below tolerance.
         residual: largest residual in parts of EI/L (moments) and EI/L^2 (forces).
-        iterations: Newton iterations of the solver that ended the search.
+        iterations: Newton iterations of the solver that ended the search (all loads of a continuation together); None
+            after kinsol, whose CasADi interface does not report them.
         solver: ``"kinsol"``, ``"newton"`` or ``"continuation"``.
         tensions: tendon tensions in N.
         slack: by how much each tendon is longer than its path, in m (0 when taut).
@@ -38,7 +39,7 @@ class Equilibrium:
     state: Array
     success: bool
     residual: float
-    iterations: int
+    iterations: int | None
     solver: str
     tensions: Array
     slack: Array
@@ -115,7 +116,13 @@ class Statics:
             function = ca.Function("g", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
         else:
             function = ca.Function("g", [x, u, load], [residual], {"cse": True})
-        options: dict[str, Any] = {"error_on_fail": True, "abstol": 1e-10, "max_iter": 60, "linear_solver": "qr"}
+        options: dict[str, Any] = {
+            "error_on_fail": True,
+            "abstol": 1e-10,
+            "max_iter": 60,
+            "linear_solver": "qr",
+            "show_eval_warnings": False,
+        }
         if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
             options |= {"strategy": "linesearch", "disable_internal_warnings": True}
         return ca.rootfinder("equilibrium", solver, function, options)
@@ -200,12 +207,12 @@ class Statics:
         except RuntimeError:
             return np.array([_attempt(self.kinsol, x, u) for x, u in zip(guess, block, strict=True)])
 
-    def _search(self, u: Array, x0: Array) -> tuple[Array, int, str]:
+    def _search(self, u: Array, x0: Array) -> tuple[Array, int | None, str]:
         """Solver after solver until one converges; the last iterate, its iterations and the solver's name."""
         for name, solver in (("kinsol", self.kinsol), ("newton", self.newton)):
             x = _attempt(solver, x0, u)
             if self._worst(x, u) <= TOLERANCE:
-                return x, _iterations(solver), name
+                return x, _iterations(solver) if name == "newton" else None, name
         for steps in (CONTINUATION_STEPS, 4 * CONTINUATION_STEPS, 16 * CONTINUATION_STEPS):
             x = np.zeros_like(x0)
             total = 0
@@ -255,4 +262,4 @@ def _attempt(solver: ca.Function, x0: Array, *parameters: Array | float) -> Arra
 
 
 def _iterations(solver: ca.Function) -> int:
-    return int(solver.stats().get("iter_count", 0))
+    return int(solver.stats()["iter_count"])

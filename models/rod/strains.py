@@ -48,7 +48,8 @@ class StrainSet:
         """Rotation matrices at arclengths ``s`` from the strains ``w`` at the nodes; R(0) = I.
 
         Planar rods integrate the angle exactly. Otherwise fourth-order Magnus steps from node to node, and from the
-        last node to each arclength, so that a frame does not depend on which others are asked for (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta Numerica 2000): for R' = R hat(w),
+        last node to each arclength, so that a frame does not depend on which others are asked for (Iserles,
+        Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta Numerica 2000): for R' = R hat(w),
         Omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 at the two Gauss points of each step.
         """
         if self.planar:
