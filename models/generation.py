@@ -13,13 +13,14 @@ import casadi as ca
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.checks import Array, count, non_negative, positive
+from pisplit.checks import Array, count, positive
 from pisplit.models.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.fields import UNITS, Fields
 from pisplit.models.tendon_arm import TendonArm
 
-#: Steps between two random targets of the displacements.
-STEPS_PER_TARGET = 8
+#: Steps between two random targets of the displacements. On the paper's arm at dt = 0.03 s, 16 makes the motion about the
+#: equilibrium as large as that of the equilibrium itself; 8 is three times as violent, 24 nearly quasi-static.
+STEPS_PER_TARGET = 16
 SAMPLES_PER_BLOCK = 500
 ATTEMPTS = 5
 
@@ -27,8 +28,8 @@ ATTEMPTS = 5
 def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, start: Array | None = None) -> Array:
     """Smooth random displacements (steps, m) in m: a common pretension and a differential part whose sum is zero.
 
-    The differential part moves between random targets ``a cos(angle_i - direction)`` every 8 steps (raised cosine in
-    between); amplitudes a fill a disc of radius ``arm.amplitude`` evenly. It starts at ``start`` (m,), the arm at rest.
+    The differential part moves between random targets ``a cos(angle_i - direction)`` every 16 steps (raised cosine
+    in between); amplitudes a fill a disc of radius ``arm.amplitude`` evenly. It starts at ``start`` (m,), the arm at rest.
     """
     count(steps, "steps")
     knots = -(-steps // STEPS_PER_TARGET) + 1
@@ -96,7 +97,7 @@ def make_episodes(
     count(episodes, "episodes")
     count(steps, "steps")
     task = EpisodeTask(arm, steps, positive(dt, "dt", "s"), rtol, count(stations, "stations"), seed)
-    identity = _identity(arm, "episodes", steps=steps, dt=dt, rtol=rtol, stations=stations, seed=seed)
+    identity = _identity(arm, "episodes", steps=steps, steps_per_target=STEPS_PER_TARGET, dt=dt, rtol=rtol, stations=stations, seed=seed)
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     blocks = run_blocks(task, episodes, parts, identity, workers, "episodes", progress)
@@ -122,7 +123,7 @@ class PhaseTask:
     arm: TendonArm
     samples: int
     rate_factor: Array
-    shape_noise: float
+    shape_factor: Array | None
     stations: int
     seed: int
 
@@ -140,7 +141,8 @@ class PhaseTask:
             if len(failures) > ATTEMPTS * self.samples:
                 raise RuntimeError(f"block {k}: {len(failures)} static solves failed, last: {failures[-1]}")
         n = scene.n_strains
-        states[:, :n] += self.shape_noise * rng.standard_normal((self.samples, n)) * scene.nominal_strains
+        if self.shape_factor is not None:
+            states[:, :n] += rng.standard_normal((self.samples, n)) @ self.shape_factor
         states[:, n : 2 * n] = rng.standard_normal((self.samples, n)) @ self.rate_factor
         x, xdot = (np.asarray(v).T for v in derivative.map(self.samples)(states.T))
         return {"x": x, "u": states[:, 2 * n :], "xdot": xdot, "failures": np.array(failures, dtype=str)}
@@ -151,7 +153,7 @@ def make_phase_samples(
     path: str | os.PathLike[str],
     samples: int,
     rates: Array,
-    shape_noise: float = 0.0,
+    deviations: Array | None = None,
     stations: int = 6,
     seed: int = 0,
     workers: int = -1,
@@ -164,16 +166,17 @@ def make_phase_samples(
     derivative of the fields when the arm moves without its tendons.
 
     Args:
-        shape_noise: standard deviation of independent noise on every strain at the nodes, in parts of 1/L. Zero is the
-            paper's D2: its shapes span few directions, and a generator fitted to them is undetermined in the others.
+        rates: strain rates (N, n_strains) of simulated trajectories.
+        deviations: strains minus those of the equilibrium under the same inputs (N, n_strains), from trajectories.
+            Their covariance is added to the static shapes. Without them D2 is the paper's: its shapes span few
+            directions, and what is fitted to them is undetermined in the others.
     """
     count(samples, "samples")
-    factor = np.linalg.cholesky(np.cov(rates.T) + 1e-12 * np.trace(np.cov(rates.T)) * np.eye(rates.shape[1])).T
-    task = PhaseTask(
-        arm, min(samples, SAMPLES_PER_BLOCK), factor, non_negative(shape_noise, "shape_noise"), stations, seed
-    )
-    digest = hashlib.sha256(np.ascontiguousarray(factor)).hexdigest()[:16]
-    identity = _identity(arm, "phase", rates=digest, shape_noise=shape_noise, stations=stations, seed=seed)
+    factor = _gaussian_factor(rates)
+    shape_factor = None if deviations is None else _gaussian_factor(deviations)
+    task = PhaseTask(arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, seed)
+    digest = hashlib.sha256(b"".join(f.tobytes() for f in (factor, shape_factor) if f is not None)).hexdigest()[:16]
+    identity = _identity(arm, "phase", covariances=digest, stations=stations, seed=seed)
     identity["block"] = task.samples
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -192,6 +195,24 @@ def make_phase_samples(
     result.save(path)
     discard_blocks(parts)
     return result
+
+
+def deviations_from_equilibrium(arm: TendonArm, episodes: Episodes) -> tuple[Array, Array]:
+    """Strains minus those at rest under the inputs of the moment, and strain rates, each (N, n_strains), of simulated
+    episodes."""
+    n = arm.scene.n_strains
+    states = np.concatenate(list((episodes.extra or {})["state"]))
+    rest = arm.scene.statics().solve_many(states[:, 2 * n :])
+    kept = rest.success
+    return states[kept, :n] - rest.states[kept, :n], states[:, n : 2 * n]
+
+
+def _gaussian_factor(samples: Array) -> Array:
+    """F with F^T F the covariance of the samples: rows of standard normals times F have that covariance."""
+    covariance = np.cov(samples.T)
+    floor = 1e-12 * np.trace(covariance) * np.eye(len(covariance))
+    factor: Array = np.linalg.cholesky(covariance + floor).T
+    return factor
 
 
 def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:

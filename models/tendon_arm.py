@@ -60,6 +60,12 @@ class TendonArm:
         return np.arctan2(*np.asarray(tendons.offsets).T[::-1])
 
     @property
+    def differential_basis(self) -> Array:
+        """Orthonormal basis (m, 2) of the displacements that bend the arm: cosine and sine over the tendon angles."""
+        angles = self.tendon_angles
+        return np.linalg.qr(np.stack([np.cos(angles), np.sin(angles)], axis=1))[0]
+
+    @property
     def rest_inputs(self) -> Array:
         """Displacements (m,) of the pretensioned arm at rest."""
         return np.full(self.scene.n_inputs, self.pretension)

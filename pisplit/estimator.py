@@ -15,7 +15,7 @@ from pisplit.checks import finite_array, non_negative
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.evaluate import RolloutErrors, rollout_errors
-from pisplit.export import lifted_model
+from pisplit.export import lifted_model, transition
 from pisplit.lifted import LiftedModel
 from pisplit.moments import accumulate
 from pisplit.phase import PhaseSamples
@@ -99,7 +99,7 @@ class Estimator:
         chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
         scale = column_scales(pair_moments(theta, chosen).std[: theta.n_columns], theta.column_quantities, self.scale)
         splitting = self._splitting(self._context(theta, scale, d1.dt, samples))
-        search = self._search(theta, splitting, d1, chosen) if self.alpha == "cv" else None
+        search = self._search(theta, splitting, d1, chosen, samples) if self.alpha == "cv" else None
         alpha = search.chosen if search else non_negative(self.alpha, "alpha")
         fit = splitting.solver(chosen)(alpha)
         provenance = {
@@ -110,16 +110,20 @@ class Estimator:
             "details": dict(fit.details),
             "data": dict(d1.provenance or {}),
         }
-        self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance)
+        self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance, samples)
         self.theta_, self.fit_, self.K_, self.alpha_, self.cv_ = theta, fit, fit.K, alpha, search
 
-    def _search(self, theta: Dictionary, splitting: Splitting, d1: Episodes, pairs: Pairs) -> AlphaSearch:
+    def _search(
+        self, theta: Dictionary, splitting: Splitting, d1: Episodes, pairs: Pairs, samples: PhaseSamples | None
+    ) -> AlphaSearch:
         """Fit on all but a few training episodes, roll these out, take the alpha of the smallest median error."""
         grid = np.array(GRIDS[self.penalty] if self.alphas is None else self.alphas, dtype=np.float64)
         training, held, names = _hold_out(d1, pairs, theta.n_delays)
         solve = splitting.solver(training)
         weights = _state_weights(theta, pairs)
-        errors = np.array([self._held_out_error(theta, solve(a).K, d1, training, held, weights) for a in grid])
+        unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
+        base = lifted_model(theta, unlearned, d1, training, {}, samples)
+        errors = np.array([self._held_out_error(base, theta, solve(a).K, held, weights) for a in grid])
         best = int(np.argmin(errors))
         if not np.isfinite(errors[best]):
             best = int(np.argmax(grid))
@@ -127,11 +131,13 @@ class Estimator:
         return AlphaSearch(alphas=grid, errors=errors, chosen=float(grid[best]), held_out=names)
 
     def _held_out_error(
-        self, theta: Dictionary, k: Array, d1: Episodes, training: Pairs, held: Episodes, weights: Array
+        self, base: LiftedModel, theta: Dictionary, k: Array, held: Episodes, weights: Array
     ) -> float:
+        """Median error of held-out roll-outs with the dynamics ``k`` and the read-out of ``base``."""
         if not np.isfinite(k).all():
             return np.inf
-        return rollout_errors(lifted_model(theta, k, d1, training, {}), held, self.cv_states, weights).median
+        a, b = transition(theta, k)
+        return rollout_errors(replace(base, A=a, B=b), held, self.cv_states, weights).median
 
     def _fitted(self) -> LiftedModel:
         if not hasattr(self, "lifted"):

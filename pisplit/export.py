@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,31 @@ from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs, excited_directions
 from pisplit.lifted import LiftedModel
 from pisplit.moments import accumulate
-from pisplit.regression import least_squares
+from pisplit.phase import PhaseSamples
+from pisplit.regression import ridge
+from pisplit.scaling import column_scales
 
 Array = NDArray[np.float64]
 
+#: Ridge of the read-out, relative to the mean diagonal of its Gram matrix: columns may be collinear.
+READ_OUT_ALPHA = 1e-10
+
 
 def lifted_model(
-    theta: Dictionary, k: Array, episodes: Episodes, pairs: Pairs, provenance: Mapping[str, Any]
+    theta: Dictionary,
+    k: Array,
+    episodes: Episodes,
+    pairs: Pairs,
+    provenance: Mapping[str, Any],
+    samples: PhaseSamples | None = None,
 ) -> LiftedModel:
     """The model z+ = A z + B phi(u), y = C z + d of the learned rows ``k`` (S, M) in physical units.
 
     The constant keeps its value and delays shift exactly: those rows are written, not learned. Where the states are not
-    columns of the dictionary, C and d are regressed on the training pairs.
+    columns of the dictionary, C and d are regressed on the training pairs and, where there are any, the phase samples.
     """
     a, b = transition(theta, k)
-    read, offset = _read_out(theta, pairs)
+    read, offset = _read_out(theta, pairs, samples)
     mean, basis = excited_directions(np.vstack([pairs.u, pairs.u_history.reshape(-1, theta.n_inputs)]))
     return LiftedModel(
         A=a,
@@ -67,14 +77,23 @@ def transition(theta: Dictionary, k: Array) -> tuple[Array, Array]:
     return rows[:, : theta.n_lifted].copy(), rows[:, theta.n_lifted :].copy()
 
 
-def _read_out(theta: Dictionary, pairs: Pairs) -> tuple[Array, Array]:
+def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | None) -> tuple[Array, Array]:
     exact = theta.invert
     if exact is not None:
         return exact, np.zeros(theta.n_states)
     columns = [i for i in range(theta.n_lifted) if i != theta.constant_column]
-    moments = accumulate(np.hstack([theta.evaluate(b)[:, columns], b.x]) for b in pairs.blocks())
     size = len(columns)
-    fit = least_squares(moments.factor[:, :size], moments.factor[:, size:]).K
+
+    def blocks() -> Iterator[Array]:
+        for b in pairs.blocks():
+            yield np.hstack([theta.evaluate(b)[:, columns], b.x])
+        for part in samples.blocks() if samples is not None else ():
+            yield np.hstack([theta.evaluate_static(part.x, part.u)[:, columns], part.x])
+
+    moments = accumulate(blocks())
+    scale = column_scales(moments.std[:size], [theta.column_quantities[i] for i in columns])
+    a = moments.factor[:, :size] / scale
+    fit = ridge(a, moments.factor[:, size:], READ_OUT_ALPHA * float((a**2).sum()) / size).K / scale
     read = np.zeros((theta.n_states, theta.n_lifted))
     read[:, columns] = fit
     return read, moments.mean[size:] - fit @ moments.mean[:size]

@@ -211,6 +211,19 @@ class StateMap(_Nothing):
         return _call(self.function, x, "x", self.names, self.quantities)
 
 
+class CoordinateSource(Protocol):
+    """A model that reads its own coordinates from measured states, such as a rod scene."""
+
+    def coordinates(self, stations: Any) -> Any:
+        """An object with ``function`` (CasADi, x -> coordinates), ``names`` and ``quantities``."""
+
+
+def RodCoordinates(scene: CoordinateSource, stations: Any = 6) -> StateMap:
+    """Columns of a rod's own coordinates (strains and their rates) read from its measured fields at stations."""
+    found = scene.coordinates(stations)
+    return StateMap(found.function, found.names, found.quantities)
+
+
 @dataclass(frozen=True)
 class Equilibrium(_Nothing):
     """Columns ``function(u)`` of a CasADi Function u (m,) -> (p,): features of the equilibrium x_eq(u) under u.

@@ -1,7 +1,7 @@
 """Operator splittings: how the known half step and trajectory data make one operator K.
 
-A splitting is registered under a name in :data:`SPLITS`. It is built once a fit (:class:`SplitContext`), then gives a
-solver for a set of pairs, which gives a fit for every alpha: cross-validation calls the last step for a whole grid.
+A splitting is built once a fit (:class:`SplitContext`), then gives a solver for a set of pairs, which gives a fit for
+every alpha: cross-validation calls the last step for a whole grid.
 """
 
 from __future__ import annotations
@@ -108,9 +108,6 @@ class Lie:
         """A function alpha -> fit for these pairs."""
         identity = np.eye(self.context.theta.n_columns)
         return composed_solver(self.context, identity, self.half.K @ self.half.K, pairs, _facts(self.half))
-
-
-SPLITS: dict[str, Callable[[SplitContext], Splitting]] = {"strang": Strang, "lie": Lie}
 
 
 def known_half_step(context: SplitContext) -> HalfStep:

@@ -18,6 +18,7 @@ from pisplit.models.rod.loads import Input, Term
 from pisplit.models.rod.tendons import Displacement, Tendons
 
 if TYPE_CHECKING:
+    from pisplit.models.rod.coordinates import RodCoordinates
     from pisplit.models.rod.dynamics import Simulator
     from pisplit.models.rod.fields import Fields
     from pisplit.models.rod.linear import Linearisation
@@ -242,6 +243,12 @@ class Scene:
     def fields(self, x: ArrayLike, stations: int | ArrayLike = 6) -> Array:
         """The 24 fields (p, R, v, w, q, omega) of states ``x`` (..., n_states) at S stations, (..., S, 24)."""
         return self.field_map(stations).evaluate(x)
+
+    def coordinates(self, stations: int | ArrayLike = 6) -> RodCoordinates:
+        """The map from fields at stations to strains and their rates: see ``RodCoordinates``."""
+        from pisplit.models.rod.coordinates import rod_coordinates
+
+        return rod_coordinates(self, stations)
 
     def field_map(self, stations: int | ArrayLike = 6) -> Fields:
         """The map from states to fields at stations, kept for reuse."""

@@ -1,0 +1,33 @@
+"""A scene that is held in a shape: its motion about any equilibrium, without knowing what holds it there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.scene import Scene
+
+
+def held_acceleration(scene: Scene) -> ca.Function:
+    """``(xi, xi_t, xi_held) -> xi_tt`` of a scene with the constant internal stress that keeps it at rest in ``xi_held``.
+
+    The stress is what the static balance of the scene lacks in that shape. For the backbone of an arm it is the load of
+    the actuators at the equilibrium with that shape, known from statics alone; what the actuators add when the arm leaves
+    the equilibrium is not in it.
+    """
+    n = scene.n_strains
+    if scene.n_inputs:
+        raise ValueError(f"a held scene has no inputs; this one has {', '.join(scene.input_names)}: leave their terms out")
+    xi, xi_t, xi_tt, _, balance = scene.dynamic_balance
+    shape, _, static = scene.static_balance
+    scale = 1.0 / ca.DM(scene.nominal_residual)
+    mass = ca.diag(scale) @ ca.jacobian(balance.residual, xi_tt)
+    rest = scale * ca.substitute(balance.residual, xi_tt, ca.SX.zeros(n))
+    parts = ca.Function("parts", [xi, xi_t], [mass, rest], {"cse": True})
+    stress = ca.Function("stress", [shape], [scale * static.residual], {"cse": True})
+    x, v, held = (ca.MX.sym(name, n) for name in ("xi", "xi_t", "xi_held"))
+    m, r = parts(x, v)
+    acceleration = -ca.solve(m, r - stress(held), "qr", {"eps": 1e-30})
+    return ca.Function("held_acceleration", [x, v, held], [acceleration], ["xi", "xi_t", "xi_held"], ["xi_tt"])
