@@ -39,6 +39,9 @@ class MPC:
     None where absent; soft, so that the problem always has a solution.
     ``estimator_gain``: 0 (no disturbance estimate) to 1. ``dt``: if given, must be the model's.
 
+    The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by regression, the
+    residual of the read-out at the measured state is added to all predicted outputs.
+
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move. Raises ValueError
     on arguments that do not fit the model.
 
@@ -74,7 +77,8 @@ class MPC:
         )
         p, H = len(self.tracked), self.horizon
         rows = list(self.tracked)
-        self._condensed = condense(model.A, model.B, model.c, model.C[rows], model.d[rows], H)
+        self._read, self._read_offset = model.C[rows], model.d[rows]
+        self._condensed = condense(model.A, model.B, model.c, self._read, self._read_offset, H)
         _warn_of_growth(model.A, H)
         self._plan: Array | None = None
         self._estimator = DisturbanceEstimator(model.A, model.B, model.c, estimator_gain)
@@ -144,6 +148,8 @@ class MPC:
             w = self._estimator.update(z)
             y_free = self._condensed.free @ z + self._condensed.disturbance @ w + self._condensed.constant
             v_previous = limits.coordinates(history.u_previous) / problem.scale
+            # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
+            y_free += np.tile(x[list(self.tracked)] - self._read @ z - self._read_offset, self.horizon)
             plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
             S = None
             if self._linear:

@@ -67,7 +67,9 @@ def _solve(arm: TendonArm, basis: Array, grid: Array, stations: int) -> tuple[Ar
     batch = arm.scene.statics().solve_many(arm.rest_inputs + moves)
     if not batch.success.all():
         worst = moves[int(np.argmin(batch.success))]
-        raise RuntimeError(f"no equilibrium at differential displacements {worst.tolist()} m; choose a smaller half_width")
+        raise RuntimeError(
+            f"no equilibrium at differential displacements {worst.tolist()} m; choose a smaller half_width"
+        )
     n = arm.scene.n_strains
     positions = arm.scene.fields(batch.states, stations)[..., :3].reshape(len(moves), -1)
     return np.hstack([batch.states[:, :n], positions]).reshape(len(grid), len(grid), -1), n

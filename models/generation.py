@@ -97,7 +97,9 @@ def make_episodes(
     count(episodes, "episodes")
     count(steps, "steps")
     task = EpisodeTask(arm, steps, positive(dt, "dt", "s"), rtol, count(stations, "stations"), seed)
-    identity = _identity(arm, "episodes", steps=steps, steps_per_target=STEPS_PER_TARGET, dt=dt, rtol=rtol, stations=stations, seed=seed)
+    identity = _identity(
+        arm, "episodes", steps=steps, steps_per_target=STEPS_PER_TARGET, dt=dt, rtol=rtol, stations=stations, seed=seed
+    )
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     blocks = run_blocks(task, episodes, parts, identity, workers, "episodes", progress)

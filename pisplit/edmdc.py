@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.checks import one_of
+from pisplit.checks import non_negative, one_of
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.estimator import Estimator
@@ -29,6 +29,9 @@ class LinearEDMDc(Estimator):
                all-zero answer for LASSO; False takes it as printed
     alphas     grid for alpha="cv"
     cv_states  states (output group, names or indices) whose roll-out error chooses alpha; default all
+    cv_tolerance  alpha="cv" takes the largest alpha whose error is within this fraction of the smallest. A few tenths make
+               models for control, where margins count more than the last percent of a roll-out (in the spirit of the
+               one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984)
     """
 
     def __init__(
@@ -40,6 +43,7 @@ class LinearEDMDc(Estimator):
         relative: bool = True,
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
+        cv_tolerance: float = 0.0,
     ) -> None:
         self.theta = theta
         self.alpha = alpha
@@ -48,6 +52,7 @@ class LinearEDMDc(Estimator):
         self.relative = relative
         self.alphas = alphas
         self.cv_states = cv_states
+        self.cv_tolerance = non_negative(cv_tolerance, "cv_tolerance")
 
     def fit(self, d1: Episodes, pairs: Pairs | None = None) -> LinearEDMDc:
         """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself."""

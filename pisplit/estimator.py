@@ -52,6 +52,7 @@ class Estimator:
     relative: bool
     alphas: Sequence[float] | None
     cv_states: str | Sequence[int] | Sequence[str] | None
+    cv_tolerance: float
 
     lifted: LiftedModel
     theta_: Dictionary
@@ -116,7 +117,7 @@ class Estimator:
     def _search(
         self, theta: Dictionary, splitting: Splitting, d1: Episodes, pairs: Pairs, samples: PhaseSamples | None
     ) -> AlphaSearch:
-        """Fit on all but a few training episodes, roll these out, take the alpha of the smallest median error."""
+        """Fit on all but a few training episodes, roll these out, choose alpha by the median error."""
         grid = np.array(GRIDS[self.penalty] if self.alphas is None else self.alphas, dtype=np.float64)
         training, held, names = _hold_out(d1, pairs, theta.n_delays)
         solve = splitting.solver(training)
@@ -125,14 +126,14 @@ class Estimator:
         base = lifted_model(theta, unlearned, d1, training, {}, samples)
         errors = np.array([self._held_out_error(base, theta, solve(a).K, held, weights) for a in grid])
         best = int(np.argmin(errors))
+        admissible = np.flatnonzero(errors <= (1.0 + self.cv_tolerance) * errors[best])
+        best = int(admissible[np.argmax(grid[admissible])]) if len(admissible) else best
         if not np.isfinite(errors[best]):
             best = int(np.argmax(grid))
             warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {grid[best]:g}", stacklevel=4)
         return AlphaSearch(alphas=grid, errors=errors, chosen=float(grid[best]), held_out=names)
 
-    def _held_out_error(
-        self, base: LiftedModel, theta: Dictionary, k: Array, held: Episodes, weights: Array
-    ) -> float:
+    def _held_out_error(self, base: LiftedModel, theta: Dictionary, k: Array, held: Episodes, weights: Array) -> float:
         """Median error of held-out roll-outs with the dynamics ``k`` and the read-out of ``base``."""
         if not np.isfinite(k).all():
             return np.inf

@@ -191,4 +191,3 @@ class Hold:
 def _trust(weight: float, total: float) -> float:
     """How far the affine part follows the data instead of the physical map, by the weight of the penalty."""
     return 1.0 / (1.0 + weight / total) if total > 0.0 else 0.0
-

@@ -35,7 +35,7 @@ class PIEDMDc(Estimator):
     rows             where K_h may differ from the identity: None everywhere; "inputs" in the input columns only; names
                      of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
                      the others, which take K_f twice)
-    scale, relative, alphas, cv_states   as in LinearEDMDc
+    scale, relative, alphas, cv_states, cv_tolerance   as in LinearEDMDc
     generator_alpha  ridge of the regression that identifies the generator or flow map, relative to its Gram diagonal
     options          further options of the splitting (hold: see there)
 
@@ -55,6 +55,7 @@ class PIEDMDc(Estimator):
         relative: bool = True,
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
+        cv_tolerance: float = 0.0,
         generator_alpha: float = 0.0,
         options: Mapping[str, Any] | None = None,
     ) -> None:
@@ -69,6 +70,7 @@ class PIEDMDc(Estimator):
         self.relative = relative
         self.alphas = alphas
         self.cv_states = cv_states
+        self.cv_tolerance = non_negative(cv_tolerance, "cv_tolerance")
         self.generator_alpha = non_negative(generator_alpha, "generator_alpha")
         self.options = options
 

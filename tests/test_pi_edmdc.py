@@ -11,7 +11,7 @@ import pytest
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
 from pisplit.models import systems
-from pisplit.splitting import SPLITS, free_block
+from pisplit.splitting import free_block
 
 STEP = 1e-3
 
@@ -173,10 +173,6 @@ def test_input_rows_and_named_rows_free_what_they_name() -> None:
     for selection in (["q"], ["x2"], [False, True]):
         rows, columns, affine = free_block(theta, selection)
         assert list(rows) == [2] and len(columns) == theta.n_columns - 1 and affine
-
-
-def test_registered_splittings_can_be_added() -> None:
-    assert {"strang", "lie"} <= set(SPLITS)
 
 
 @pytest.mark.parametrize(
