@@ -1,0 +1,137 @@
+"""Statics: order of the discretisation, fallbacks, batches, and what a failed search looks like."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pisplit.models import rod
+from pisplit.models.tendon_arm import TendonArm
+
+
+def steel(length: float = 0.4, strains: str = "kirchhoff") -> rod.Rod:
+    """A steel rod of 1 mm radius."""
+    return rod.Rod(length, rod.Circle(1e-3), rod.Elastic(207e9, 207e9 / 2.6, 8000.0), strains)
+
+
+def tip_error(nodes: int, strains: str) -> float:
+    """Tip error in parts of L at F L^2 / EI = 10 against the elastica (Bisshopp & Drucker 1945)."""
+    body = steel(strains=strains)
+    force = 10.0 * body.stiffness[0] / body.length**2
+    tip = rod.Scene(body, rod.TipWrench(force=(force, 0.0, 0.0)), nodes=nodes).statics().solve().tip
+    exact = np.array([0.8106090248802965, 0.0, 0.4450044022462487])
+    return float(np.linalg.norm(tip / body.length - exact))
+
+
+def test_elastica_at_eight_nodes_to_five_millionths_of_the_length() -> None:
+    assert tip_error(8, "kirchhoff") <= 5e-6
+    assert tip_error(6, "kirchhoff") <= 1e-5
+
+
+def test_plane_rods_converge_spectrally_and_spatial_rods_with_order_four() -> None:
+    """The angle of a plane rod is integrated exactly; Magnus steps of fourth order bound a spatial one."""
+    plane = [tip_error(k, "planar") for k in (4, 6, 8, 10)]
+    assert all(fine < coarse / 20.0 for coarse, fine in pairwise(plane))
+    spatial = [tip_error(k, "kirchhoff") for k in (8, 16)]
+    assert np.log2(spatial[0] / spatial[1]) >= 3.5
+
+
+def test_every_random_tip_load_up_to_a_hundred_is_solved() -> None:
+    """Tip forces of F L^2 / EI = 10 and 100: where kinsol fails, Newton and load continuation take over."""
+    body = steel()
+    statics = rod.Scene(body, rod.TipWrench(force=rod.Input("f", 3)), nodes=6).statics()
+    directions = np.random.default_rng(0).standard_normal((10, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    for size in (10.0, 100.0):
+        for direction in directions:
+            equilibrium = statics.solve(size * body.stiffness[0] / body.length**2 * direction)
+            assert equilibrium.success
+            assert equilibrium.residual <= 1e-8
+
+
+def test_equilibrium_is_found_again_from_its_own_state() -> None:
+    scene = TendonArm.paper().scene
+    first = scene.statics().solve([0.01, -0.005, -0.005])
+    second = scene.statics().solve([0.01, -0.005, -0.005], guess=first.state)
+    assert second.state == pytest.approx(first.state, abs=1e-9)
+    assert np.all(first.state[scene.n_strains : 2 * scene.n_strains] == 0.0)
+    assert first.strains == pytest.approx(first.state[: scene.n_strains])
+
+
+def test_a_batch_gives_what_single_solves_give() -> None:
+    scene = TendonArm.paper().scene
+    inputs = np.random.default_rng(1).uniform(-0.01, 0.01, (90, 3))
+    batch = scene.statics().solve_many(inputs, chunk=40)
+    assert batch.success.all()
+    assert batch.states.shape == (90, scene.n_states)
+    for k in (0, 41, 89):
+        single = scene.statics().solve(inputs[k])
+        assert batch.states[k] == pytest.approx(single.state, abs=1e-8)
+        assert batch.tensions[k] == pytest.approx(single.tensions, rel=1e-6, abs=1e-8)
+
+
+def bent_beyond_its_tendon() -> rod.Scene:
+    """A rod with tendons driven by tension: one tendon alone has no equilibrium above EI / r^2 = 143 N (w r = 1)."""
+    drive = rod.Tendons.parallel(15.06e-3, (0, 120, 240), rod.Tension())
+    return rod.Scene(TendonArm.paper().scene.rod, drive)
+
+
+def test_a_load_without_equilibrium_is_flagged_not_raised() -> None:
+    equilibrium = bent_beyond_its_tendon().statics().solve([1000.0, 0.0, 0.0])
+    assert not equilibrium.success
+    assert equilibrium.solver == "continuation"
+    assert equilibrium.residual > 1.0
+    assert np.isfinite(equilibrium.state).all()
+    assert "no equilibrium" in equilibrium.message and "\n" not in equilibrium.message
+
+
+def test_one_bad_row_spoils_no_other() -> None:
+    statics = bent_beyond_its_tendon().statics()
+    inputs = np.zeros((20, 3))
+    inputs[:, 0] = np.linspace(0.0, 20.0, 20)
+    inputs[7] = [1000.0, 0.0, 0.0]
+    batch = statics.solve_many(inputs)
+    assert np.flatnonzero(~batch.success).tolist() == [7]
+    assert np.isfinite(batch.states).all()
+    assert batch.states[8] == pytest.approx(statics.solve(inputs[8]).state, abs=1e-8)
+
+
+def test_tension_moves_no_rod_beyond_its_stiffness() -> None:
+    """Up to that tension the curvature is w = tau r / EI."""
+    scene = bent_beyond_its_tendon()
+    for tension in (10.0, 140.0):
+        strains = scene.statics().solve([tension, 0.0, 0.0]).strains.reshape(-1, 3)
+        assert strains[:, 1] == pytest.approx(tension * 15.06e-3 / scene.rod.stiffness[1], rel=1e-9)
+
+
+def test_the_first_example_of_the_design_runs_as_written() -> None:
+    arm = rod.Scene(
+        rod.Rod(
+            length=0.7144,
+            section=rod.Circle(radius=0.675e-3),
+            material=rod.Elastic(young=207e9, shear=207e9 / 2.6, density=33249.0),
+            strains="kirchhoff",
+        ),
+        rod.Gravity((-9.81, 0.0, 0.0)),
+        rod.KelvinVoigt(bending=5e-4, torsion=5e-4),
+        rod.QuadraticDrag(1e-4),
+        rod.Tendons.parallel(offset=15.06e-3, angles_deg=(0, 120, 240), drive=rod.Displacement(compliance=1e-4)),
+    )
+    statics = arm.statics()
+    eq = statics.solve(u=[0.010, -0.005, -0.005])
+    assert eq.success and eq.residual <= 1e-8 and eq.iterations is None
+    assert eq.tensions.shape == eq.slack.shape == (3,)
+    assert np.all((eq.tensions > 0.2) == (eq.slack == 0.0))
+    p, R = eq.pose(0.35)
+    assert p.shape == (3,) and R.shape == (3, 3)
+    U = np.random.default_rng(0).uniform(-0.01, 0.01, (12, 3))
+    batch = statics.solve_many(U)
+    assert batch.success.all()
+    sim = arm.simulator(dt=0.03, rtol=3e-5)
+    U = np.linspace([0.010, -0.005, -0.005], [0.0, 0.002, -0.002], 10)
+    traj = sim.run(u=U, x0=eq.state)
+    assert traj.success
+    assert traj.t.shape == (11,) and traj.x.shape == (11, arm.n_states) and traj.u.shape == (10, 3)
+    y = arm.fields(traj.x, stations=6)
+    assert y.shape == (11, 6, 24)
+    assert np.array_equal(y, traj.fields(6))
