@@ -39,8 +39,8 @@ class MPC:
     None where absent; soft, so that the problem always has a solution.
     ``estimator_gain``: 0 (no disturbance estimate) to 1. ``dt``: if given, must be the model's.
 
-    The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by regression, the
-    residual of the read-out at the measured state is added to all predicted outputs.
+    The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by
+    regression, the residual of the read-out at the measured state is added to all predicted outputs.
 
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move. Raises ValueError
     on arguments that do not fit the model.

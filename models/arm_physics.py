@@ -21,21 +21,24 @@ TANGENT_STEP = 1e-6
 
 @dataclass(frozen=True)
 class ArmPhysics:
-    """Dictionary and options for ``PIEDMDc(split="hold")`` on a tendon arm.
+    """Dictionary and options for ``PIEDMDc(split="hold")`` on a tendon arm, from its static map.
 
-    The known part f is the backbone with the static load that holds each equilibrium x_eq(u); the unknown part h is what
-    the tendons add when the arm leaves it. Parallel tendons act through constant bending stress (two ports) and feel mean
-    curvature (two loads): h has four numbers.
+    The known part f is the backbone with the static load that holds each equilibrium x_eq(u); the unknown part h is
+    what the tendons add when the arm leaves it. Parallel tendons act through constant bending stress (two ports) and
+    feel mean curvature (two loads): h has four numbers.
 
     Attributes:
-        arm: the arm.
-        table: its static map.
+        table: static map of the arm.
         stations: stations of the measured fields.
     """
 
-    arm: TendonArm
     table: EquilibriumTable
     stations: int = 6
+
+    @property
+    def arm(self) -> TendonArm:
+        """The arm."""
+        return self.table.arm
 
     def dictionary(self) -> Dictionary:
         """Rod coordinates as states, the equilibrium under u as input features, now and one step ago."""
@@ -71,8 +74,8 @@ class ArmPhysics:
     def tangent_samples(self, seed: int = 0) -> PhaseSamples:
         """Phase-space samples of f close to the arm at rest: gEDMD on them is the linearisation of f there.
 
-        Steps come in pairs of opposite sign: second-order terms cancel, which a backbone whose fastest rate is 1e8 of its
-        slowest needs.
+        Steps come in pairs of opposite sign: second-order terms cancel, which a backbone whose fastest rate is 1e8
+        times its slowest needs.
         """
         scene, passive = self.arm.scene, self.arm.passive
         n, count = scene.n_strains, 16 * scene.n_strains

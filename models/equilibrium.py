@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from pisplit.checks import Array, count, positive
 from pisplit.models.tendon_arm import TendonArm
@@ -16,6 +19,7 @@ class EquilibriumTable:
     """Equilibrium strains and station positions as a cubic spline over differential displacements.
 
     Attributes:
+        arm: the arm.
         function: CasADi ``u (m,) -> [strains xi (n,), positions (3 S,)]``; only the differential part of u counts, the
             common displacement is that of the arm at rest.
         names, quantities: of its entries; strains share the scaling group of the rod coordinates.
@@ -24,12 +28,49 @@ class EquilibriumTable:
         error: largest position error in m at the centres of its cells, against the statics.
     """
 
+    arm: TendonArm
     function: ca.Function
     names: tuple[str, ...]
     quantities: tuple[str, ...]
     n_strains: int
     half_width: float
     error: float
+
+    def displacements(self, moves: Array) -> Array:
+        """Inputs (m,) of differential moves (2,) in m along the axes of the table."""
+        inputs: Array = self.arm.rest_inputs + self.arm.differential_basis @ moves
+        return inputs
+
+    def inverse(self, target: ArrayLike, guess: ArrayLike | None = None) -> Array:
+        """Displacements (m,) whose equilibrium has its tip at ``target`` (3,) in m; NaN coordinates are free.
+
+        Gauss-Newton from differential moves ``guess`` (2,); the nearest point where the tip cannot get there.
+        """
+        wanted = np.asarray(target, dtype=float)
+        given = np.flatnonzero(np.isfinite(wanted))
+        if wanted.shape != (3,) or len(given) == 0:
+            raise ValueError(f"target = {wanted.tolist()}; expected three coordinates in m, at least one of them given")
+        rows = len(self.names) - 3 + given
+        value, slope = self._derivatives
+
+        def miss(moves: Array) -> Array:
+            return 1e3 * (np.asarray(value(self.displacements(moves))).ravel()[rows] - wanted[given])
+
+        def sensitivity(moves: Array) -> Array:
+            return 1e3 * np.asarray(slope(self.displacements(moves)))[rows] @ self.arm.differential_basis
+
+        start = np.zeros(2) if guess is None else np.clip(np.asarray(guess, dtype=float), *self._box)
+        found = least_squares(miss, start, jac=sensitivity, bounds=self._box, x_scale=1e-3, xtol=1e-12, ftol=1e-15)
+        return self.displacements(found.x)
+
+    @property
+    def _box(self) -> tuple[Array, Array]:
+        return np.full(2, -self.half_width), np.full(2, self.half_width)
+
+    @cached_property
+    def _derivatives(self) -> tuple[ca.Function, ca.Function]:
+        u = ca.MX.sym("u", self.arm.scene.n_inputs)
+        return self.function, ca.Function("slope", [u], [ca.jacobian(self.function(u), u)])
 
 
 def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, points: int = 33) -> EquilibriumTable:
@@ -52,6 +93,7 @@ def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, poin
     coordinates = arm.scene.coordinates(stations)
     positions = tuple(f"p_{axis}[{k + 1}]" for k in range(stations) for axis in "xyz")
     return EquilibriumTable(
+        arm=arm,
         function=function,
         names=tuple(f"{name}_eq" for name in (*coordinates.names[:strains], *positions)),
         quantities=(*coordinates.quantities[:strains], *("p",) * len(positions)),

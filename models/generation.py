@@ -18,23 +18,23 @@ from pisplit.models.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.fields import UNITS, Fields
 from pisplit.models.tendon_arm import TendonArm
 
-#: Steps between two random targets of the displacements. On the paper's arm at dt = 0.03 s, 16 makes the motion about the
-#: equilibrium as large as that of the equilibrium itself; 8 is three times as violent, 24 nearly quasi-static.
+#: Steps between two random targets of the displacements. On the paper's arm at dt = 0.03 s, 16 makes the motion about
+#: the equilibrium as large as that of the equilibrium itself; 8 is three times as violent, 24 nearly quasi-static.
 STEPS_PER_TARGET = 16
 SAMPLES_PER_BLOCK = 500
 ATTEMPTS = 5
 
 
-def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, start: Array | None = None) -> Array:
+def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator) -> Array:
     """Smooth random displacements (steps, m) in m: a common pretension and a differential part whose sum is zero.
 
     The differential part moves between random targets ``a cos(angle_i - direction)`` every 16 steps (raised cosine
-    in between); amplitudes a fill a disc of radius ``arm.amplitude`` evenly. It starts at ``start`` (m,), the arm at rest.
+    in between); amplitudes a fill a disc of radius ``arm.amplitude`` evenly. It starts with the arm at rest.
     """
     count(steps, "steps")
     knots = -(-steps // STEPS_PER_TARGET) + 1
     targets = arm.rest_inputs + random_differential(arm, knots, rng)
-    targets[0] = arm.rest_inputs if start is None else start
+    targets[0] = arm.rest_inputs
     phase = np.arange(1, steps + 1) / STEPS_PER_TARGET
     before = np.minimum(phase.astype(int), knots - 2)
     blend = 0.5 - 0.5 * np.cos(np.pi * (phase - before))[:, None]
@@ -91,8 +91,8 @@ def make_episodes(
 ) -> Episodes:
     """Simulate ``episodes`` trajectories of the arm, store them at ``path`` (HDF5) and return them.
 
-    States are the 24 fields at every station (names, quantities, units in the file); ``extra["state"]`` holds the states
-    [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
+    States are the 24 fields at every station (names, quantities, units in the file); ``extra["state"]`` holds the
+    states [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
     """
     count(episodes, "episodes")
     count(steps, "steps")

@@ -29,9 +29,9 @@ class LinearEDMDc(Estimator):
                all-zero answer for LASSO; False takes it as printed
     alphas     grid for alpha="cv"
     cv_states  states (output group, names or indices) whose roll-out error chooses alpha; default all
-    cv_tolerance  alpha="cv" takes the largest alpha whose error is within this fraction of the smallest. A few tenths make
-               models for control, where margins count more than the last percent of a roll-out (in the spirit of the
-               one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984)
+    cv_tolerance  alpha="cv" takes the largest alpha whose error is within this fraction of the smallest. A few tenths
+               make models for control, where margins count more than the last percent of a roll-out (in the spirit of
+               the one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984)
     """
 
     def __init__(

@@ -1,13 +1,13 @@
 """The hold split: known and unknown generators added, inputs linear over the step, one exponential.
 
-Strang splitting kicks once a step. Where the unknown part is stiff (tendons of a loaded arm: f and h both large, and cancelling)
-no kick keeps the equilibria, whatever the data. Here the generators are added before the exponential, which is the limit of the
-splitting for many sub-steps:
+Strang splitting kicks once a step. Where the unknown part is stiff (tendons of a loaded arm: f and h both large, and
+cancelling) no kick keeps the equilibria, whatever the data. Here the generators are added before the exponential, which
+is the limit of the splitting for many sub-steps:
 
     d/dt psi = L_f [psi; phi] + P H D [psi; phi],      psi_{k+1} = F psi_k + G_0 phi_{k-1} + G_1 phi_k
 
-L_f comes from phase-space samples (gEDMD), the few numbers H from trajectories; P are the directions in which the unknown part
-can act (ports) and D the features it can depend on.
+L_f comes from phase-space samples (gEDMD), the few numbers H from trajectories; P are the directions in which the
+unknown part can act (ports) and D the features it can depend on.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ class Hold:
     Options of the estimator (S learned columns, P input features, r ports):
         tangent      PhaseSamples for L_f (default: d2): samples close to one state give the exact linearisation there,
                      also of a stiff f, whose average over a large region is no generator of anything.
-        equilibrium  E (S, P) with psi_eq(u) = E phi(u). Then both parts act on the deviation psi - E phi only, and every
-                     equilibrium is kept exactly: f stands for the known part with the static load that holds x_eq(u).
+        equilibrium  E (S, P) with psi_eq(u) = E phi(u). Both parts then act on the deviation psi - E phi only, and
+                     every equilibrium is kept exactly: f stands for the known part with the static load that holds
+                     x_eq(u).
         ports        (S, r) directions of h; default: unit vectors of ``rows`` (all learned columns).
-        loads        (q, S) rows that select what h depends on, from the deviation; default: all of it. Without ``equilibrium``
-                     h depends on all columns, or on input columns only with rows="inputs".
+        loads        (q, S) rows that select what h depends on, from the deviation; default: all of it. Without
+                     ``equilibrium`` h depends on all columns, or on input columns only with rows="inputs".
 
-    ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|^2, toward the physical map
-    K_0: large alpha keeps K_0, alpha = 0 is EDMDc.
+    ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|^2, toward the
+    physical map K_0: large alpha keeps K_0, alpha = 0 is EDMDc.
     """
 
     def __init__(self, context: SplitContext) -> None:

@@ -74,9 +74,14 @@ class RodCoordinates:
 
 
 def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinates:
-    """Coordinates of a scene from its fields at stations. Raises ValueError for free shear or stretch, or too few stations."""
+    """Coordinates of a scene from its fields at stations.
+
+    Raises ValueError for free shear or stretch, and for fewer stations than nodes.
+    """
     if any(c >= 3 for c in scene.rod.strain_set.free):
-        raise ValueError(f"rod coordinates need a rod without free shear and stretch; strains are {scene.rod.strains!r}")
+        raise ValueError(
+            f"rod coordinates need a rod without free shear and stretch; strains are {scene.rod.strains!r}"
+        )
     points = station_points(stations, scene.rod.length)
     if len(points) < scene.nodes:
         raise ValueError(f"{len(points)} stations cannot tell {scene.nodes} nodes apart; give at least {scene.nodes}")

@@ -11,15 +11,17 @@ if TYPE_CHECKING:
 
 
 def held_acceleration(scene: Scene) -> ca.Function:
-    """``(xi, xi_t, xi_held) -> xi_tt`` of a scene with the constant internal stress that keeps it at rest in ``xi_held``.
+    """``(xi, xi_t, xi_held) -> xi_tt`` of a scene with the internal stress that keeps it at rest in ``xi_held``.
 
-    The stress is what the static balance of the scene lacks in that shape. For the backbone of an arm it is the load of
-    the actuators at the equilibrium with that shape, known from statics alone; what the actuators add when the arm leaves
-    the equilibrium is not in it.
+    The stress is what the static balance of the scene lacks in that shape. For the backbone of an arm it is the load
+    of the actuators at the equilibrium with that shape, known from statics alone; what the actuators add when the arm
+    leaves the equilibrium is not in it.
     """
     n = scene.n_strains
     if scene.n_inputs:
-        raise ValueError(f"a held scene has no inputs; this one has {', '.join(scene.input_names)}: leave their terms out")
+        raise ValueError(
+            f"a held scene has no inputs; this one has {', '.join(scene.input_names)}: leave their terms out"
+        )
     xi, xi_t, xi_tt, _, balance = scene.dynamic_balance
     shape, _, static = scene.static_balance
     scale = 1.0 / ca.DM(scene.nominal_residual)

@@ -1,0 +1,127 @@
+"""Pictures of closed loops on the arm: tracking, shapes over time, animation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from pisplit.controllers import LoopLog
+
+Array = NDArray[np.float64]
+
+COLOURS = {"feed-forward": "#999999", "L-EDMDc": "#d95f02", "PI-EDMDc": "#1b6ca8"}
+plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False})
+plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False, "savefig.dpi": 130})
+
+
+def draw_tracking(runs: dict[str, dict[str, LoopLog]], path: Path) -> None:
+    """Tip path, tip error and displacements of every controller, one row a task."""
+    figure, axes = plt.subplots(len(runs), 3, figsize=(16.5, 4.6 * len(runs)), constrained_layout=True, squeeze=False)
+    for row, (task, logs) in zip(axes, runs.items(), strict=True):
+        any_log = next(iter(logs.values()))
+        wanted = 1e3 * any_log.reference
+        row[0].plot(wanted[:, 0], wanted[:, 1], "k--", lw=1.0, label="reference")
+        row[0].plot(*wanted[-1, :2], "k+", ms=9)
+        for name, log in logs.items():
+            colour = COLOURS[name]
+            row[0].plot(1e3 * log.y[:, 0], 1e3 * log.y[:, 1], color=colour, lw=1.3, label=name)
+            row[1].semilogy(log.t[1:], np.maximum(1e3 * tip_error(log)[1:], 1e-4), color=colour, lw=1.2, label=name)
+        for k, line in enumerate(("-", "--", ":")):
+            for name, log in logs.items():
+                if name != "feed-forward":
+                    label = f"{name}, tendon {k + 1}"
+                    row[2].plot(log.t[1:], 1e3 * log.u[:, k], line, color=COLOURS[name], lw=1.1, label=label)
+        row[0].set(xlabel="tip x (mm)", ylabel="tip y (mm)", title=f"{task}: tip path", aspect="equal")
+        row[1].set(xlabel="time (s)", ylabel="tip error in x, y (mm)", title=f"{task}: error")
+        row[2].set(xlabel="time (s)", ylabel="tendon displacement (mm)", title=f"{task}: inputs")
+        row[0].legend(loc="best")
+        row[1].legend(loc="best")
+        row[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def tip_error(log: LoopLog) -> Array:
+    """Distance in m between tip and reference in the coordinates that the reference gives."""
+    return np.asarray(np.sqrt(np.nansum((log.y - log.reference) ** 2, axis=1)))
+
+
+def shapes(log: LoopLog, stations: int) -> Array:
+    """Backbone points (T+1, S+1, 3) in m, clamp included."""
+    points = log.x.reshape(len(log.x), stations, -1)[..., :3]
+    return np.concatenate([np.zeros((len(points), 1, 3)), points], axis=1)
+
+
+def smooth_backbone(points: Array, n: int = 40) -> Array:
+    """Cubic spline (n, 3) through the points of one shape."""
+    from scipy.interpolate import CubicSpline
+
+    s = np.linspace(0.0, 1.0, len(points))
+    return np.asarray(CubicSpline(s, points)(np.linspace(0.0, 1.0, n)))
+
+
+def draw_shapes(log: LoopLog, stations: int, path: Path, title: str) -> None:
+    """Shapes of the arm over time, coloured by time, with the path of the tip."""
+    backbone = shapes(log, stations)
+    figure = plt.figure(figsize=(8.5, 7.5), constrained_layout=True)
+    axis = figure.add_subplot(projection="3d")
+    colours = plt.get_cmap("viridis")
+    chosen = np.linspace(0, len(backbone) - 1, 24).astype(int)
+    for k in chosen:
+        line = 1e3 * smooth_backbone(backbone[k])
+        axis.plot(*line.T, color=colours(k / len(backbone)), lw=1.6, alpha=0.9)
+    tip = 1e3 * backbone[:, -1]
+    axis.plot(*tip.T, color="k", lw=0.9, label="tip")
+    _frame(axis, 1e3 * backbone)
+    axis.set_title(title)
+    axis.legend(loc="upper left")
+    scale = plt.cm.ScalarMappable(cmap=colours, norm=plt.Normalize(0.0, float(log.t[-1])))
+    figure.colorbar(scale, ax=axis, shrink=0.6, label="time (s)")
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 80) -> None:
+    """GIF of the arm following the reference, at half of real time or faster."""
+    backbone = 1e3 * shapes(log, stations)
+    chosen = np.linspace(0, len(backbone) - 1, frames).astype(int)
+    figure = plt.figure(figsize=(6.0, 5.6))
+    axis = figure.add_subplot(projection="3d")
+    _frame(axis, backbone)
+    (line,) = axis.plot([], [], [], color="#1b6ca8", lw=3.0)
+    (trace,) = axis.plot([], [], [], color="#1b6ca8", lw=0.9, alpha=0.6)
+    (target,) = axis.plot([], [], [], "k--", lw=0.8)
+    wanted = 1e3 * log.reference
+    height = np.where(np.isnan(wanted[:, 2]), backbone[:, -1, 2], wanted[:, 2])
+    target.set_data_3d(wanted[:, 0], wanted[:, 1], height)
+    bar = tqdm(total=frames, desc="animation", unit="frame")
+
+    def show(k: int) -> None:
+        line.set_data_3d(*smooth_backbone(backbone[k]).T)
+        trace.set_data_3d(*backbone[: k + 1, -1].T)
+        axis.set_title(f"{title}, t = {log.t[k]:.2f} s")
+        bar.update()
+
+    film = FuncAnimation(figure, lambda i: show(int(chosen[i])), frames=frames, init_func=lambda: None)
+    part = path.with_name(f".{path.name}")
+    film.save(part, writer=PillowWriter(fps=15), dpi=80)
+    part.replace(path)
+    bar.close()
+    plt.close(figure)
+
+
+def _frame(axis: plt.Axes, points: Array) -> None:
+    low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
+    middle, half = 0.5 * (low + high), 0.55 * float(np.max(high - low))
+    for name, m in zip("xyz", middle, strict=True):
+        getattr(axis, f"set_{name}lim")(m - half, m + half)
+        getattr(axis, f"set_{name}label")(f"{name} (mm)")
+    axis.view_init(elev=22, azim=-60)
