@@ -20,6 +20,12 @@ UNDAMPED_ORDER = 2
 #: Internal steps over one control interval, or over one natural period where that is longer, after which IDAS gives up.
 #: Ordinary motions take 20 to 200 of them, undamped waves at tight tolerances a few thousand.
 MAX_STEPS = 10_000
+#: Ways to start IDAS in the order they are tried: what of y0' the motion of ``Simulator._build`` carries (strain rates,
+#: accelerations), and whether ``calc_ic`` corrects the start. Carried strain rates make smooth starts so easy that IDAS
+#: doubles its step, fails the error test, and stays at order 1 for the whole interval, ten times as many steps: they
+#: are the second choice, for the few starts that fail without. Shapes far from the slow motions of the rod, whose
+#: first accelerations are 1e7 times those that follow, start with ``calc_ic`` from plain states.
+STARTS = ((0.0, 1.0, False), (1.0, 1.0, False), (0.0, 0.0, True))
 
 
 @dataclass(frozen=True)
@@ -126,9 +132,9 @@ class Simulator:
         moving = start[n : 2 * n]
         accelerations = np.asarray(self.scene.acceleration(start[:n], moving, origin[0])).ravel()
         failure: RuntimeError | None = None
-        for carried, correct in ((0.0, False), (1.0, False), (1.0, True)):
+        for of_strains, of_rates, correct in STARTS:
             integrator = self._integrator(steps, correct)
-            rates = np.concatenate([carried * moving, accelerations])
+            rates = np.concatenate([of_strains * moving, of_rates * accelerations])
             given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates])}
             try:
                 deviation = np.asarray(integrator(**given, u=controls.T)["xf"]).T
@@ -250,10 +256,8 @@ class Simulator:
 
         CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: with plain states 7 %
         of the starts fail, with ``calc_ic`` a step costs twice as much. With
-        y = y0 + y0' T (1 - exp(-t/T)) + deviation, the deviation truly starts with zero derivative. Carrying only the
-        accelerations in y0' is the first choice: carried strain rates make smooth starts so easy that IDAS doubles its
-        step, fails the error test, and stays at order 1 for the whole interval, ten times as many steps. They are the
-        second choice, for the few starts that fail without; ``calc_ic`` the last.
+        y = y0 + y0' T (1 - exp(-t/T)) + deviation, the deviation truly starts with zero derivative; ``STARTS`` says
+        what of y0' is carried so.
         """
         scene = self.scene
         n, m = scene.n_strains, scene.n_inputs
