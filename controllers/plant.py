@@ -19,6 +19,22 @@ class PlantStep:
     message: str = ""
 
 
+class Measurement(Protocol):
+    """What a plant returns after a step: the entries of ``PlantStep``, in a class of its own if it likes."""
+
+    @property
+    def state(self) -> Array:
+        """Measured state (n_states,)."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the step succeeded."""
+
+    @property
+    def message(self) -> str:
+        """Why it failed; empty on success."""
+
+
 class Plant(Protocol):
     """A system that is stepped with inputs (n_inputs,) over ``dt`` seconds and measures states (n_states,)."""
 
@@ -37,5 +53,5 @@ class Plant(Protocol):
     def reset(self, u0: ArrayLike | None = None) -> Array:
         """Back to rest, in equilibrium under u0 (zeros if not given); returns the measured state (n_states,)."""
 
-    def step(self, u: Array) -> PlantStep:
+    def step(self, u: Array) -> Measurement:
         """Apply u (n_inputs,) over one time step."""

@@ -64,7 +64,7 @@ class EpisodeTask:
     def __call__(self, k: int) -> Block:
         """Episode ``k``: states, inputs, fields."""
         simulator = _simulator(self.arm, self.dt, self.rtol, self.stations)
-        failures = []
+        failures: list[str] = []
         for attempt in range(ATTEMPTS):
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, k, attempt)))
             commands = random_displacements(self.arm, self.steps, rng)

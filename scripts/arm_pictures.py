@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -118,7 +119,7 @@ def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 8
     plt.close(figure)
 
 
-def _frame(axis: plt.Axes, points: Array) -> None:
+def _frame(axis: Any, points: Array) -> None:
     low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
     middle, half = 0.5 * (low + high), 0.55 * float(np.max(high - low))
     for name, m in zip("xyz", middle, strict=True):

@@ -10,6 +10,7 @@ import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from arm_pictures import animate, draw_shapes, draw_tracking, tip_error
@@ -55,15 +56,15 @@ def fit_models(arm: TendonArm, physics: ArmPhysics, d1: Episodes, d2: PhaseSampl
     plain = Dictionary(
         ob.Constant(), ob.Identity(), ob.Delays(inputs=1), n_states=d1.n_states, n_inputs=arm.scene.n_inputs
     )
-    shared = {"alpha": "cv", "penalty": "ridge", "cv_states": "shape", "cv_tolerance": CV_TOLERANCE}
+    shared: dict[str, Any] = {"alpha": "cv", "penalty": "ridge", "cv_states": "shape", "cv_tolerance": CV_TOLERANCE}
     linear = LinearEDMDc(plain, **shared).fit(d1)
     split = PIEDMDc(
-        physics.dictionary(), split="hold", options=physics.options(), alphas=np.logspace(-8, 3, 12), **shared
+        physics.dictionary(), split="hold", options=physics.options(), alphas=np.logspace(-8, 3, 12).tolist(), **shared
     ).fit(d1, d2)
     return {"L-EDMDc": linear, "PI-EDMDc": split}
 
 
-def limits(arm: TendonArm) -> dict[str, float]:
+def limits(arm: TendonArm) -> dict[str, Any]:
     """Displacements within 15 mm of the rest position, 2 mm a step."""
     return {"u_min": arm.pretension - 0.015, "u_max": arm.pretension + 0.015, "du_max": 0.002}
 

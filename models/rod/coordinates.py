@@ -47,7 +47,7 @@ class RodCoordinates:
     @cached_property
     def strain_rows(self) -> Array:
         """Weights (K, S): values at the nodes from values at the stations."""
-        rows: Array = np.linalg.pinv(self.scene.rule.interpolate(self.points))
+        rows: Array = np.asarray(np.linalg.pinv(self.scene.rule.interpolate(self.points)), dtype=np.float64)
         return rows
 
     @cached_property

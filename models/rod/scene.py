@@ -164,7 +164,8 @@ class Scene:
             parts[item.name] = u[start : start + item.size]
             start += item.size
         moving = accelerations is not None
-        motion = (strains, rates, accelerations if moving else ca.SX(self.n_strains, 1))
+        second = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
+        motion = (strains, rates, second)
         return Balance(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
 
     @cached_property
