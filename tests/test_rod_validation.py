@@ -1,4 +1,4 @@
-"""The rod against published closed forms and reference values (``validation.json`` holds numbers, units and sources)."""
+"""The rod against published closed forms and reference values; ``validation.json`` holds numbers, units, sources."""
 
 import json
 from pathlib import Path
