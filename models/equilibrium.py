@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from pisplit.checks import Array, count, positive
+from pisplit.checks import Array, count, finite_array, positive
 from pisplit.models.tendon_arm import TendonArm
+
+#: Part of the table that its edges are taken at.
+INSIDE = 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,7 @@ class EquilibriumTable:
     Attributes:
         arm: the arm.
         function: CasADi ``u (m,) -> [strains xi (n,), positions (3 S,)]``; only the differential part of u counts, the
-            common displacement is that of the arm at rest.
+            common displacement is that of the arm at rest. Outside the table it is that of the nearest edge.
         names, quantities: of its entries; strains share the scaling group of the rod coordinates.
         n_strains: number of strains n.
         half_width: largest differential displacement in m along each axis of the table.
@@ -46,10 +49,8 @@ class EquilibriumTable:
 
         Gauss-Newton from differential moves ``guess`` (2,); the nearest point where the tip cannot get there.
         """
-        wanted = np.asarray(target, dtype=float)
+        wanted = _target(target)
         given = np.flatnonzero(np.isfinite(wanted))
-        if wanted.shape != (3,) or len(given) == 0:
-            raise ValueError(f"target = {wanted.tolist()}; expected three coordinates in m, at least one of them given")
         rows = len(self.names) - 3 + given
         value, slope = self._derivatives
 
@@ -59,7 +60,7 @@ class EquilibriumTable:
         def sensitivity(moves: Array) -> Array:
             return 1e3 * np.asarray(slope(self.displacements(moves)))[rows] @ self.arm.differential_basis
 
-        start = np.zeros(2) if guess is None else np.clip(np.asarray(guess, dtype=float), *self._box)
+        start = np.zeros(2) if guess is None else np.clip(finite_array(guess, "guess", (2,)), *self._box)
         found = least_squares(miss, start, jac=sensitivity, bounds=self._box, x_scale=1e-3, xtol=1e-12, ftol=1e-15)
         return self.displacements(found.x)
 
@@ -85,7 +86,9 @@ def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, poin
     values, strains = _solve(arm, basis, grid, stations)
     table = ca.interpolant("equilibrium", "bspline", [grid, grid], values.transpose(2, 0, 1).ravel(order="F"))
     u = ca.MX.sym("u", arm.scene.n_inputs)
-    function = ca.Function("equilibrium", [u], [table(ca.DM(basis.T) @ (u - ca.DM(arm.rest_inputs)))], ["u"], ["x_eq"])
+    moves = ca.DM(basis.T) @ (u - ca.DM(arm.rest_inputs))
+    edge = half_width * INSIDE  # CasADi's splines are zero on and beyond the upper edge
+    function = ca.Function("equilibrium", [u], [table(ca.fmax(-edge, ca.fmin(edge, moves)))], ["u"], ["x_eq"])
     centres = 0.5 * (grid[1:] + grid[:-1])[:: max(1, points // 8)]
     exact, _ = _solve(arm, basis, centres, stations)
     at = np.array(np.meshgrid(centres, centres, indexing="ij")).reshape(2, -1)
@@ -101,6 +104,16 @@ def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, poin
         half_width=half_width,
         error=float(np.abs(difference[:, strains:]).max()),
     )
+
+
+def _target(target: ArrayLike) -> Array:
+    try:
+        wanted = np.asarray(target, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"target is not numeric: got {target!r}; give three coordinates in m") from None
+    if wanted.shape != (3,) or np.isinf(wanted).any() or np.isnan(wanted).all():
+        raise ValueError(f"target = {wanted.tolist()}; expected three coordinates in m, at least one of them not NaN")
+    return wanted
 
 
 def _solve(arm: TendonArm, basis: Array, grid: Array, stations: int) -> tuple[Array, int]:
