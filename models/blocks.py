@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ def run_blocks(
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     _claim(place, identity)
-    todo = [k for k in range(n_blocks) if not _file(place, k).exists()]
+    todo = [k for k in range(n_blocks) if not zipfile.is_zipfile(_file(place, k))]  # a truncated file is none
     jobs = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")(
         joblib.delayed(_compute)(task, k, str(place)) for k in todo
     )
