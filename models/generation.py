@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.checks import Array, count, positive
+from pisplit.checks import Array, count, finite_array, positive
 from pisplit.models.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.fields import UNITS, Fields
 from pisplit.models.tendon_arm import TendonArm
@@ -95,11 +97,8 @@ def make_episodes(
     states [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
     """
     count(episodes, "episodes")
-    count(steps, "steps")
-    task = EpisodeTask(arm, steps, positive(dt, "dt", "s"), rtol, count(stations, "stations"), seed)
-    identity = _identity(
-        arm, "episodes", steps=steps, steps_per_target=STEPS_PER_TARGET, dt=dt, rtol=rtol, stations=stations, seed=seed
-    )
+    identity = episodes_origin(arm, steps, dt, rtol, stations, seed)
+    task = EpisodeTask(arm, *(identity[name] for name in ("steps", "dt", "rtol", "stations", "seed")))
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     blocks = run_blocks(task, episodes, parts, identity, workers, "episodes", progress)
@@ -116,6 +115,36 @@ def make_episodes(
     result.save(path)
     discard_blocks(parts)
     return result
+
+
+def episodes_origin(
+    arm: TendonArm, steps: int = 200, dt: float = 0.03, rtol: float = 1e-4, stations: int = 6, seed: int = 0
+) -> dict[str, Any]:
+    """All that decides the episodes of ``make_episodes`` but their number; part of their provenance."""
+    return {
+        **_arm_origin(arm, "episodes", stations, seed),
+        "steps": count(steps, "steps"),
+        "steps_per_target": STEPS_PER_TARGET,
+        "dt": positive(dt, "dt", "s"),
+        "rtol": positive(rtol, "rtol"),
+    }
+
+
+def phase_origin(arm: TendonArm, rates: Array, stations: int = 6, seed: int = 0) -> dict[str, Any]:
+    """What decides the samples of ``make_phase_samples`` but deviations; part of their provenance."""
+    return {**_arm_origin(arm, "phase", stations, seed), "rates": _digest(rates)}
+
+
+def check_origin(
+    path: str | os.PathLike[str], provenance: Mapping[str, Any] | None, expected: Mapping[str, Any]
+) -> None:
+    """Raise ValueError if the data in ``path`` were made for another arm or with other settings."""
+    given = provenance or {}
+    for name, value in expected.items():
+        if given.get(name) != value:
+            found = f"with {name} = {given.get(name)!r}, not {value!r}"
+            what = "for another arm" if name in ("arm", "scene") else found
+            raise ValueError(f"{os.fspath(path)} holds data made {what}; delete it or choose another folder")
 
 
 @dataclass(frozen=True)
@@ -174,11 +203,12 @@ def make_phase_samples(
             directions, and what is fitted to them is undetermined in the others.
     """
     count(samples, "samples")
-    factor = _gaussian_factor(rates)
-    shape_factor = None if deviations is None else _gaussian_factor(deviations)
-    task = PhaseTask(arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, seed)
-    digest = hashlib.sha256(b"".join(f.tobytes() for f in (factor, shape_factor) if f is not None)).hexdigest()[:16]
-    identity = _identity(arm, "phase", covariances=digest, stations=stations, seed=seed)
+    identity = phase_origin(arm, rates, stations, seed)
+    n = arm.scene.n_strains
+    factor = _gaussian_factor(rates, "rates", n)
+    shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
+    task = PhaseTask(arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"])
+    identity["deviations"] = None if deviations is None else _digest(deviations)
     identity["block"] = task.samples
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -203,15 +233,32 @@ def deviations_from_equilibrium(arm: TendonArm, episodes: Episodes) -> tuple[Arr
     """Strains minus those at rest under the inputs of the moment, and strain rates, each (N, n_strains), of simulated
     episodes."""
     n = arm.scene.n_strains
-    states = np.concatenate(list((episodes.extra or {})["state"]))
+    states = _simulated_states(arm, episodes)
     rest = arm.scene.statics().solve_many(states[:, 2 * n :])
     kept = rest.success
     return states[kept, :n] - rest.states[kept, :n], states[:, n : 2 * n]
 
 
-def _gaussian_factor(samples: Array) -> Array:
+def strain_rates(arm: TendonArm, episodes: Episodes) -> Array:
+    """Strain rates (N, n_strains) of simulated episodes."""
+    n = arm.scene.n_strains
+    rates: Array = _simulated_states(arm, episodes)[:, n : 2 * n]
+    return rates
+
+
+def _simulated_states(arm: TendonArm, episodes: Episodes) -> Array:
+    extra = episodes.extra or {}
+    if "state" not in extra:
+        raise ValueError("the episodes hold no states of a simulator (extra['state']); make them with make_episodes")
+    return finite_array(np.concatenate(list(extra["state"])), "extra['state']", (None, arm.scene.n_states))
+
+
+def _gaussian_factor(given: Array, name: str, n: int) -> Array:
     """F with F^T F the covariance of the samples: rows of standard normals times F have that covariance."""
-    covariance = np.cov(samples.T)
+    samples = finite_array(given, name, (None, n))
+    if len(samples) < 2:
+        raise ValueError(f"{name} has {len(samples)} rows; a covariance needs at least two")
+    covariance = np.atleast_2d(np.cov(samples.T))
     floor = 1e-12 * np.trace(covariance) * np.eye(len(covariance))
     factor: Array = np.linalg.cholesky(covariance + floor).T
     return factor
@@ -227,8 +274,23 @@ def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:
     }
 
 
-def _identity(arm: TendonArm, kind: str, **settings: Any) -> dict[str, Any]:
-    return {"kind": kind, "arm": str(arm.scene), "pretension": arm.pretension, "amplitude": arm.amplitude, **settings}
+def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int) -> dict[str, Any]:
+    scene = arm.scene
+    # Twelve digits: offsets come from cosines, whose last digit depends on the machine.
+    exact = re.sub(r"\d+\.\d+(e[+-]?\d+)?", lambda found: f"{float(found[0]):.12g}", repr((scene.rod, scene.terms)))
+    return {
+        "kind": kind,
+        "arm": str(scene),
+        "scene": hashlib.sha256(f"{exact}, {scene.nodes} nodes".encode()).hexdigest()[:16],
+        "pretension": arm.pretension,
+        "amplitude": arm.amplitude,
+        "stations": count(stations, "stations"),
+        "seed": count(seed, "seed", 0),
+    }
+
+
+def _digest(samples: Array) -> str:
+    return hashlib.sha256(np.ascontiguousarray(samples).tobytes()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=2)

@@ -13,7 +13,15 @@ from pathlib import Path
 from report import Report, parser
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.models.generation import deviations_from_equilibrium, make_episodes, make_phase_samples
+from pisplit.models.generation import (
+    check_origin,
+    deviations_from_equilibrium,
+    episodes_origin,
+    make_episodes,
+    make_phase_samples,
+    phase_origin,
+    strain_rates,
+)
 from pisplit.models.tendon_arm import TendonArm
 
 
@@ -28,17 +36,21 @@ def load_or_make(
     workers: int = -1,
     paper_shapes: bool = False,
 ) -> tuple[Episodes, PhaseSamples]:
-    """D1 and D2 from ``folder`` where they are there for these settings, else simulated and stored there."""
+    """D1 and D2 from ``folder`` where they are there, else simulated and stored there.
+
+    Raises ValueError for files that are damaged, hold data of another arm, or were made with other settings.
+    """
     first = folder / f"d1-{episodes}x{steps}-seed{seed}.h5"
     second = folder / f"d2-{samples}-of-{episodes}x{steps}-seed{seed}{'-paper' if paper_shapes else ''}.h5"
     if first.exists():
         d1 = Episodes.load(first)
-        if (d1.provenance or {}).get("arm") != str(arm.scene):
-            raise ValueError(f"{first} holds data of another arm; delete it or choose another folder")
+        check_origin(first, d1.provenance, episodes_origin(arm, steps, dt, seed=seed))
     else:
         d1 = make_episodes(arm, first, episodes, steps, dt, seed=seed, workers=workers)
     if second.exists():
-        return d1, PhaseSamples.load(second)
+        d2 = PhaseSamples.load(second)
+        check_origin(second, d2.provenance, phase_origin(arm, strain_rates(arm, d1), seed=seed))
+        return d1, d2
     deviations, rates = deviations_from_equilibrium(arm, d1)
     kept = None if paper_shapes else deviations
     return d1, make_phase_samples(arm, second, samples, rates, kept, seed=seed, workers=workers)
