@@ -9,6 +9,7 @@ import platform
 import tempfile
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ class Report:
                 raise ValueError(f"target of {name!r} starts with {kind!r}; expected '<=' or '>='")
             met = bool(value <= bound if kind == "<=" else value >= bound)
         self.figures[name] = {
-            "value": float(value),
+            "value": float(value) if isfinite(value) else None,  # JSON has no NaN
             "unit": unit,
             "target": None if target is None else f"{target[0]} {target[1]:g} {unit}".strip(),
             "met": met,
@@ -60,7 +61,8 @@ class Report:
         lines = [self.title]
         for name, f in self.figures.items():
             verdict = "" if f["met"] is None else f"  target {f['target']}: {'met' if f['met'] else 'MISSED'}"
-            lines.append(f"  {name:<{width}}  {f['value']:10.4g} {f['unit']}{verdict}")
+            value = "not finite" if f["value"] is None else f"{f['value']:10.4g}"
+            lines.append(f"  {name:<{width}}  {value} {f['unit']}{verdict}")
         return "\n".join(lines)
 
     def write(self, path: Path | None) -> None:
@@ -75,8 +77,13 @@ class Report:
             "seed": self.arguments.get("seed"),
             "arguments": self.arguments,
         }
+        text = json.dumps(content, indent=1, allow_nan=False)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        with os.fdopen(handle, "w") as file:
-            json.dump(content, file, indent=1)
-        os.replace(name, path)
+        try:
+            with os.fdopen(handle, "w") as file:
+                file.write(text + "\n")
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
