@@ -17,7 +17,7 @@ from pisplit.models.rod.loads import Input, Loads, Term
 class Balance:
     """Weak form of the Cosserat equations at the Gauss nodes.
 
-    ``dead_force`` (3, K) in N/m adds a force per length that does not depend on the motion.
+    ``dead_force`` (3, K) in N adds an internal force at the nodes that does not depend on the motion.
     Statics is the same balance with exact zeros as rates and no inertia: nothing of the motion is left in its graph.
 
     With loads f, l per length and a wrench at the tip, forces and moments come from the tip:
@@ -56,11 +56,20 @@ class Balance:
     def _force(self) -> ca.SX:
         """World internal force N at the nodes (3, K)."""
         density = self.loads.force
-        if self.dead_force is not None:
-            density = density + self.dead_force
         if self.inertia:
-            density = density - self.rod.mass_per_length * self.motion.acceleration
-        return ca.repmat(self.loads.tip_force, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+            density = density + self._inertia_density
+        force = ca.repmat(self.loads.tip_force, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+        return force if self.dead_force is None else force + self.dead_force
+
+    @cached_property
+    def _inertia_density(self) -> ca.SX:
+        """Inertia force per length, -rho A p_tt, at the nodes (3, K)."""
+        return -self.rod.mass_per_length * self.motion.acceleration
+
+    @property
+    def inertial_force(self) -> ca.SX:
+        """The part of the internal force N that is due to inertia, at the nodes (3, K) in N."""
+        return self.motion.to_tip(self._inertia_density)
 
     @cached_property
     def _moment(self) -> ca.SX:

@@ -217,8 +217,7 @@ class Simulator:
         scale = ca.diag(1.0 / ca.DM(scene.nominal_residual))
         force = ca.SX.sym("force", 3, scene.nodes)
         at_rest = scene.balance(xi, ca.SX(n, 1), None, u, dead_force=force).residual
-        inertia = -scene.rod.mass_per_length * full.motion.acceleration
-        (stiffness,) = ca.substitute([ca.jacobian(at_rest, xi)], [force], [inertia])
+        (stiffness,) = ca.substitute([ca.jacobian(at_rest, xi)], [force], [full.inertial_force])
         massless = scene.balance(xi, xi_t, None, u).residual
         blocks = [
             scale @ stiffness,

@@ -140,6 +140,11 @@ class Scene:
         return np.tile(sizes, self.nodes)
 
     @property
+    def rest_coordinates(self) -> Array:
+        """Free strains of the unloaded rod (n_strains,)."""
+        return np.tile([self.rod.rest_strains[c] for c in self.rod.strain_set.free], self.nodes)
+
+    @property
     def nominal_residual(self) -> Array:
         """Typical size of each residual row: EI/L for moments, EI/L^2 for forces."""
         moment = min(self.rod.stiffness[:2]) / self.rod.length

@@ -90,11 +90,10 @@ class Statics:
         scene = self.scene
         n = scene.n_strains
         x, u, load = ca.SX.sym("x", n), ca.SX.sym("u", scene.n_inputs), ca.SX.sym("load")
-        rest = ca.DM(np.tile([scene.rod.rest_strains[c] for c in scene.rod.strain_set.free], scene.nodes))
-        xi = rest + ca.DM(scene.nominal_strains) * x
+        xi = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
         zero = ca.SX(n, 1)
         residual = scene.balance(xi, zero, None, u).residual / ca.DM(scene.nominal_residual)
-        bare = Scene(scene.rod, nodes=scene.nodes).balance(xi, zero, None, ca.SX(0, 1)).residual
+        bare = scene.without(object).balance(xi, zero, None, ca.SX(0, 1)).residual
         return x, u, load, load * residual + (1.0 - load) * bare / ca.DM(scene.nominal_residual)
 
     @cached_property
@@ -235,8 +234,7 @@ class Statics:
         return tension, np.maximum(0.0, unpulled - length)
 
     def _strains(self, x: Array) -> Array:
-        rest = np.tile([self.scene.rod.rest_strains[c] for c in self.scene.rod.strain_set.free], self.scene.nodes)
-        strains: Array = rest + x * self.scene.nominal_strains
+        strains: Array = self.scene.rest_coordinates + x * self.scene.nominal_strains
         return strains
 
     def _scaled(self, guess: ArrayLike) -> Array:
