@@ -83,26 +83,17 @@ class Hold:
         data = moments.rows(centred=False)
         gains = self._identify(data[:, :size], data[:, size:])
         physical = self._discrete(gains)
-        scaled = moments.scaled(np.concatenate([context.scale, self.scale]))
-        constant = theta.constant_column
-        rows = scaled.rows(centred=constant is not None)
-        columns = np.array([i for i in range(size) if i != constant])
+        rows = moments.scaled(np.concatenate([context.scale, self.scale])).rows(centred=False)
+        a, y = rows[:, :size], rows[:, size:]
         prior = physical * context.scale / self.scale[:, None]
-        a, y = rows[:, :size][:, columns], rows[:, size:]
-        residual = y - a @ prior[:, columns].T
-        unit = float((a**2).sum() / len(columns))
+        residual = y - a @ prior.T
+        unit = float((a**2).sum() / size)
         details = {"gains": gains.tolist(), "radius": float(np.abs(np.linalg.eigvals(self._transition(gains))).max())}
 
         def solve(alpha: float) -> SplitFit:
             weight = alpha * unit if context.relative else alpha
             fit = ridge(a, residual, weight)
-            k = prior.copy()
-            k[:, columns] += fit.K
-            if constant is not None:
-                mean, mean_next = scaled.mean[:size], scaled.mean[size:]
-                shift = mean_next - k[:, columns] @ mean[columns] - k[:, constant] * mean[constant]
-                k[:, constant] += shift * _trust(weight, float((a**2).sum()))
-            k = k * self.scale[:, None] / context.scale
+            k = (prior + fit.K) * self.scale[:, None] / context.scale
             return SplitFit(K=k, alpha=weight, rank=fit.rank, details=details)
 
         return solve
@@ -187,8 +178,3 @@ class Hold:
             return np.eye(size)
         free, _, _ = free_block(self.context.theta, self.context.rows)
         return np.eye(size)[:, np.searchsorted(self.learned, free)]
-
-
-def _trust(weight: float, total: float) -> float:
-    """How far the affine part follows the data instead of the physical map, by the weight of the penalty."""
-    return 1.0 / (1.0 + weight / total) if total > 0.0 else 0.0
