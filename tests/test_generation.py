@@ -201,7 +201,6 @@ def test_xdot_is_the_passive_motion_of_the_fields(
     arm: TendonArm, moves: tuple[np.ndarray, np.ndarray], tmp_path: Path, spread: bool
 ) -> None:
     deviations, rates = moves
-    n = arm.scene.n_strains
     d2 = make_phase_samples(arm, tmp_path / "d2.h5", 4, rates, deviations if spread else None, **SMALL)
     # A backbone that is let go of its tendons has modes of 1e8 1/s: the difference is taken over a time below them,
     # along the motion that starts with the acceleration of the balance of forces.
