@@ -45,7 +45,8 @@ class Hold:
                      ``equilibrium`` h depends on all columns, or on input columns only with rows="inputs".
 
     ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|^2, toward the
-    physical map K_0: large alpha keeps K_0, alpha = 0 is EDMDc.
+    physical map K_0: large alpha keeps K_0, alpha = 0 is EDMDc. It is a ridge whatever ``penalty`` says, and neither
+    ``toward`` nor ``half_step`` play a part.
     """
 
     def __init__(self, context: SplitContext) -> None:
@@ -55,9 +56,7 @@ class Hold:
             raise ValueError(f"options of split='hold' are {', '.join(OPTIONS)}; got {unknown.pop()!r}")
         if theta.state_delays or theta.input_delays > 1:
             raise ValueError("split='hold' takes Delays(inputs=1) or no delays; the state of f has no past")
-        samples = context.options.get("tangent", context.samples)
-        if not isinstance(samples, PhaseSamples):
-            raise ValueError("split='hold' needs phase samples of the known vector field; give d2")
+        samples = _samples(context)
         self.context = context
         self.learned = theta.learned_columns
         self.inputs = np.arange(theta.n_lifted, theta.n_columns)
@@ -99,7 +98,7 @@ class Hold:
         return solve
 
     def _identify(self, a: Array, y: Array) -> Array:
-        """H (r, q) that minimises the one-step residual, from H = 0 (the known physics) by Levenberg-Marquardt."""
+        """H (r, q) that minimises the one-step residual, from H = 0 (the known physics) by least squares."""
         shape = (self.ports.shape[1], self.deviation.shape[0])
         unit = self._load_unit()
 
@@ -162,7 +161,7 @@ class Hold:
             full = np.hstack([np.eye(size), -self._equilibrium(size, features)])
             if "loads" not in options:
                 return full
-            return np.asarray(finite_array(options["loads"], "options['loads']", (None, size)) @ full)
+            return np.asarray(_directions(options["loads"], "loads", (None, size)) @ full)
         if "loads" in options:
             raise ValueError("options['loads'] selects from the deviation; give options['equilibrium'] too")
         every = np.eye(size + features + 1)
@@ -173,8 +172,37 @@ class Hold:
     def _ports(self, size: int) -> Array:
         options: Any = self.context.options
         if "ports" in options:
-            return finite_array(options["ports"], "options['ports']", (size, None))
+            return _directions(options["ports"], "ports", (size, None))
         if self.context.rows == "inputs":
             return np.eye(size)
         free, _, _ = free_block(self.context.theta, self.context.rows)
         return np.eye(size)[:, np.searchsorted(self.learned, free)]
+
+
+def _samples(context: SplitContext) -> PhaseSamples:
+    """Samples of f for the generator; all phase samples given must be of this system."""
+    theta = context.theta
+    for name, samples in (("d2", context.samples), ("options['tangent']", context.options.get("tangent"))):
+        if samples is None and name != "d2":
+            continue
+        if not isinstance(samples, PhaseSamples):
+            raise ValueError(f"{name} is a {type(samples).__name__}; split='hold' needs PhaseSamples of the known part")
+        given = (samples.n_states, samples.n_inputs)
+        if given != (theta.n_states, theta.n_inputs):
+            raise ValueError(
+                f"{name} has {given[0]} states and {given[1]} inputs; "
+                f"the dictionary expects {theta.n_states} and {theta.n_inputs}"
+            )
+    chosen: PhaseSamples = context.options.get("tangent", context.samples)
+    return chosen
+
+
+def _directions(given: Any, name: str, shape: tuple[int | None, int | None]) -> Array:
+    """At least one direction, none of them zero."""
+    array = finite_array(given, f"options[{name!r}]", shape)
+    axis = shape.index(None)
+    if array.shape[axis] == 0 or not np.abs(array).max(axis=1 - axis).all():
+        raise ValueError(
+            f"options[{name!r}] of shape {array.shape} holds no direction, or one that is zero; leave it out"
+        )
+    return array

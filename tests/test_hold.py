@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -146,7 +147,7 @@ def test_the_penalty_leads_from_edmdc_to_the_physical_map() -> None:
 
     limit = k(1e12)
     distances = [np.abs(k(alpha) - limit).max() for alpha in (0.0, 1e-2, 1.0, 1e2, 1e6)]
-    assert all(a > b for a, b in zip(distances, distances[1:], strict=False)) and distances[-1] < 1e-5
+    assert all(a > b for a, b in itertools.pairwise(distances)) and distances[-1] < 1e-5
 
 
 def test_samples_at_one_state_stand_for_f_where_the_options_give_them() -> None:
