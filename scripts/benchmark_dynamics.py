@@ -21,7 +21,6 @@ from matplotlib import pyplot as plt
 
 DT = 0.03
 DEFAULT = (5, 1e-4)
-PEER_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def peer_points(commands: np.ndarray, reference: np.ndarray, quick: bool) -> lis
     """scipy's BDF and Radau on the same equations, solved for the accelerations, with their exact Jacobian."""
     arm = TendonArm.paper(DEFAULT[0])
     scene, n = arm.scene, arm.scene.n_strains
-    steps = min(PEER_STEPS, len(commands))
+    steps = len(commands)
     start = scene.statics().solve(arm.rest_inputs).state
     t = DT * np.arange(steps + 1)
     servo = np.vstack([arm.rest_inputs, commands[:steps]])
