@@ -161,6 +161,6 @@ def draw(points: list[Point], path: Path) -> None:
     axes.set_ylabel("maximum tip error [parts of L]")
     axes.set_title("Paper's tendon arm: each line from loose to tight rtol; grey: targets")
     axes.grid(True, which="both", alpha=0.25)
-    axes.legend()
+    axes.legend(loc="lower right")
     figure.savefig(path, dpi=140)
     plt.close(figure)
