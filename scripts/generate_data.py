@@ -10,7 +10,7 @@ import argparse
 import time
 from pathlib import Path
 
-from report import Report, parser
+from report import Report, parser, run
 
 from pisplit import Episodes, PhaseSamples
 from pisplit.models.generation import (
@@ -114,4 +114,4 @@ def _time_of(arm: TendonArm, path: Path, given: argparse.Namespace, workers: int
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

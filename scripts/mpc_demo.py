@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from arm_pictures import animate, draw_shapes, draw_tracking, tip_error
 from generate_data import load_or_make
-from report import Report, parser
+from report import Report, parser, run
 from tqdm import tqdm
 
 from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
@@ -48,6 +48,7 @@ def arguments() -> argparse.Namespace:
         given.steps, given.samples = min(given.steps, 170), min(given.samples, 1000)
     if given.steps < 150 or given.episodes < 2:
         made.error(f"--steps {given.steps} --episodes {given.episodes}; expected at least 150 steps and 2 episodes")
+    references.circle(given.radius, given.period)  # raises on bad values before the data are made
     return given
 
 
@@ -171,4 +172,4 @@ def print_table(report: Report, runs: dict[str, dict[str, LoopLog]], approach: f
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

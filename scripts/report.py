@@ -6,7 +6,9 @@ import argparse
 import json
 import os
 import platform
+import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from math import isfinite
@@ -26,6 +28,14 @@ def parser(description: str, out: str = "out") -> argparse.ArgumentParser:
     made.add_argument("--json", type=Path, default=None, metavar="PATH", help="write the figures to this file")
     made.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help="folder for pictures and data")
     return made
+
+
+def run(main: Callable[[], None]) -> None:
+    """Run a script; what is wrong with its arguments or files ends it with one line, not with a traceback."""
+    try:
+        main()
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {' '.join(str(error).split())}")
 
 
 @dataclass
