@@ -6,20 +6,25 @@ A scene is a rod and terms that act on it::
     arm.statics().solve(u)      arm.simulator(dt=0.03).run(U)      arm.fields(states, stations=6)
 """
 
+from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
 from pisplit.models.rod.damping import KelvinVoigt
 from pisplit.models.rod.drag import LinearDrag, QuadraticDrag
 from pisplit.models.rod.gravity import Gravity
 from pisplit.models.rod.loads import Input
+from pisplit.models.rod.material import Elastic, Stiffness
 from pisplit.models.rod.scene import Scene
-from pisplit.models.rod.section import Circle, Elastic
+from pisplit.models.rod.section import Circle, GeneralSection, Tapered, Tube
+from pisplit.models.rod.strains import StrainSet
 from pisplit.models.rod.tendons import Displacement, Tendons, Tension
 from pisplit.models.rod.wrench import TipWrench
 
 __all__ = [
+    "Base",
     "Circle",
     "Displacement",
     "Elastic",
+    "GeneralSection",
     "Gravity",
     "Input",
     "KelvinVoigt",
@@ -27,7 +32,11 @@ __all__ = [
     "QuadraticDrag",
     "Rod",
     "Scene",
+    "Stiffness",
+    "StrainSet",
+    "Tapered",
     "Tendons",
     "Tension",
     "TipWrench",
+    "Tube",
 ]

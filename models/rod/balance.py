@@ -7,10 +7,12 @@ from functools import cached_property
 
 import casadi as ca
 
+from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
-from pisplit.models.rod.gauss import GaussRule
-from pisplit.models.rod.kinematics import Motion, columnwise_cross
-from pisplit.models.rod.loads import Input, Loads, Term
+from pisplit.models.rod.gauss import Rule
+from pisplit.models.rod.gravity import Gravity
+from pisplit.models.rod.kinematics import BaseState, Motion, columnwise_cross
+from pisplit.models.rod.loads import Input, Loads, Term, by_row
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,7 @@ class Balance:
 
     rod: Rod
     terms: tuple[Term, ...]
-    rule: GaussRule
+    rule: Rule
     strains: ca.SX
     rates: ca.SX
     accelerations: ca.SX
@@ -42,13 +44,15 @@ class Balance:
     @cached_property
     def motion(self) -> Motion:
         """Kinematics."""
-        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations)
+        states = [t.state(self.inputs, moving=self.rates.nnz() > 0) for t in self.terms if isinstance(t, Base)]
+        base = states[0] if states else BaseState.fixed()
+        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations, base)
 
     @cached_property
     def loads(self) -> Loads:
         """Loads of all the terms."""
-        loads = Loads.none(self.rule.n_nodes, self.inputs)
-        for term in self.terms:
+        loads = Loads.none(self.rule.n_nodes, self.inputs, self.inertia)
+        for term in sorted(self.terms, key=lambda t: not isinstance(t, Gravity)):  # what has weight reads the gravity
             term.apply(self.motion, loads)
         return loads
 
@@ -59,17 +63,18 @@ class Balance:
         if self.inertia:
             density = density + self._inertia_density
         force = ca.repmat(self.loads.tip_force, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+        force = force + self.loads.point_force + self.loads.point_inertia
         return force if self.dead_force is None else force + self.dead_force
 
     @cached_property
     def _inertia_density(self) -> ca.SX:
         """Inertia force per length, -rho A p_tt, at the nodes (3, K)."""
-        return -self.rod.mass_per_length * self.motion.acceleration
+        return -by_row(self.motion.profile.mass, 3) * self.motion.acceleration
 
     @property
     def inertial_force(self) -> ca.SX:
         """The part of the internal force N that is due to inertia, at the nodes (3, K) in N."""
-        return self.motion.to_tip(self._inertia_density)
+        return self.motion.to_tip(self._inertia_density) + self.loads.point_inertia
 
     @cached_property
     def _moment(self) -> ca.SX:
@@ -77,14 +82,14 @@ class Balance:
         density = columnwise_cross(self.motion.tangent, self._force) + self.loads.moment
         if self.inertia:
             density = density - self._rotary_inertia()
-        return ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+        moment = ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+        return moment + self.loads.point_moment
 
     def _rotary_inertia(self) -> ca.SX:
         """Rate of angular momentum per length in world axes: R (rho J alpha + omega x rho J omega)."""
-        inertia = ca.SX(ca.DM(list(self.rod.inertia_per_length)))
         omega = self.motion.to_body(self.motion.spin)
         alpha = self.motion.to_body(self.motion.spin_rate)
-        j = ca.repmat(inertia, 1, self.rule.n_nodes)
+        j = ca.SX(ca.DM(self.motion.profile.inertia))
         return self.motion.to_world(j * alpha + columnwise_cross(omega, j * omega))
 
     @cached_property
@@ -95,28 +100,27 @@ class Balance:
     @cached_property
     def residual(self) -> ca.SX:
         """Residual of the free strains, node by node; moments in N m, forces in N."""
-        stiffness, rest = self.rod.stiffness, self.rod.rest_strains
+        stiffness, rest = ca.DM(self.motion.profile.stiffness), ca.DM(self.motion.profile.rest)
         moment = self.motion.to_body(self._moment) - self.loads.stress_w
         rows = []
         for component in self.rod.strain_set.free:
             axis = component % 3
             strain = self.motion.w[axis, :] if component < 3 else self.motion.v[axis, :]
             carried = moment[axis, :] if component < 3 else self.elastic_force[axis, :]
-            rows.append(carried - stiffness[component] * (strain - rest[component]))
+            rows.append(carried - stiffness[component, :] * (strain - rest[component, :]))
         return ca.vec(ca.vertcat(*rows))
 
     @cached_property
     def strain_v(self) -> ca.SX:
         """Shear and stretch strains at the nodes (3, K); those that are not free follow from the force carried."""
         free = self.rod.strain_set.free
+        stiffness, rest = ca.DM(self.motion.profile.stiffness), ca.DM(self.motion.profile.rest)
         rows = []
         for axis in range(3):
             if 3 + axis in free:
                 rows.append(self.motion.v[axis, :])
             else:
-                rows.append(
-                    self.rod.rest_strains[3 + axis] + self.elastic_force[axis, :] / self.rod.stiffness[3 + axis]
-                )
+                rows.append(rest[3 + axis, :] + self.elastic_force[axis, :] / stiffness[3 + axis, :])
         return ca.vertcat(*rows)
 
 

@@ -1,79 +1,182 @@
-"""The rod itself: length, cross-section, material and free strains."""
+"""The rod itself: length, cross-section, material, rest shape and free strains."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from pisplit.checks import one_of, positive
-from pisplit.models.rod.section import Elastic
+from pisplit.checks import finite_array, one_of, positive
+from pisplit.models.rod.gauss import Array, CompositeRule, GaussRule, Rule
+from pisplit.models.rod.material import Material
+from pisplit.models.rod.section import Section, Sections, Tapered, checked_section
 from pisplit.models.rod.strains import STRAIN_SETS, StrainSet
 
+#: Nodes an element for the means of a rod that varies along its length.
+MEAN_NODES = 24
 
-class Section(Protocol):
-    """What a rod asks of a cross-section: area in m^2, second moments in m^4 and the shear correction."""
-
-    @property
-    def area(self) -> float: ...
-    @property
-    def second_moments(self) -> tuple[float, float, float]: ...
-    @property
-    def shear_factor(self) -> float: ...
+#: Three numbers, or a function of arclength s in m that returns them.
+Curvature = Sequence[float] | Callable[[float], Sequence[float]]
 
 
 @dataclass(frozen=True)
+class Profile:
+    """Constants of the rod at S arclengths.
+
+    Attributes:
+        stiffness: (6, S), of (w1, w2, w3) in N m^2 and of (v1, v2, v3) in N.
+        mass: (S,) rho A in kg/m.
+        area: (S,) in m^2.
+        inertia: (3, S) rho J about the body axes in kg m.
+        rest: (6, S) strains of the unloaded rod; w in 1/m.
+    """
+
+    stiffness: Array
+    mass: Array
+    area: Array
+    inertia: Array
+    rest: Array
+
+
+@dataclass(frozen=True, repr=False)
 class Rod:
-    """A rod clamped at the origin, straight along +z when unloaded, free at the tip.
+    """A rod clamped at the origin with its tangent along +z there, free at the tip.
 
     Args:
         length: length L in m.
-        section: cross-section, e.g. ``Circle(radius)``.
-        material: ``Elastic(young, shear, density)``.
-        strains: ``"cosserat"`` (bending, torsion, shear, stretch), ``"kirchhoff"`` (bending, torsion) or ``"planar"``
-            (bending about body axis 2, motion in the x-z plane).
+        section: cross-section, e.g. ``Circle(radius)``; where it varies, ``Tapered(start, end)``, a function
+            s -> section of the arclength in m, or a tuple with one section an element.
+        material: ``Elastic(young, shear, density)`` or ``Stiffness(...)``, or a function s -> material.
+        strains: ``"cosserat"`` (bending, torsion, shear, stretch), ``"kirchhoff"`` (bending, torsion), ``"planar"``
+            (bending about body axis 2, motion in the x-z plane), ``"planar-cosserat"`` (the same with shear and stretch
+            in that plane), or a ``StrainSet``.
+        rest_curvature: (w1, w2, w3) of the unloaded rod in 1/m in body axes, or a function s -> (3,).
+        elements: lengths in m of elements in a row, which add up to L. Strains are smooth within an element and may
+            jump at its border: put one where the section, its slope or a load jumps. Empty: one element.
     """
 
     length: float
-    section: Section
-    material: Elastic
-    strains: str = "kirchhoff"
+    section: Sections
+    material: Material | Callable[[float], Material]
+    strains: str | StrainSet = "kirchhoff"
+    rest_curvature: Curvature = (0.0, 0.0, 0.0)
+    elements: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         positive(self.length, "Rod length", "m")
-        one_of(self.strains, "Rod strains", tuple(STRAIN_SETS))
+        if not isinstance(self.strains, StrainSet):
+            one_of(self.strains, "Rod strains", tuple(STRAIN_SETS))
+        self._check_elements()
+        if not callable(self.rest_curvature):
+            curvature = finite_array(np.asarray(self.rest_curvature), "Rod rest_curvature", (3,))
+            object.__setattr__(self, "rest_curvature", tuple(curvature.tolist()))
+        ends = [k * self.length for k in (0.0, 0.5, 1.0)]
+        rest = self.profile(ends).rest
+        if self.strain_set.planar and np.any(rest[[0, 2]]):
+            raise ValueError("a planar rod is curved in its plane only; rest_curvature must be (0, w2, 0)")
+
+    def _check_elements(self) -> None:
+        lengths = tuple(positive(e, f"Rod elements[{k}]", "m") for k, e in enumerate(self.elements))
+        object.__setattr__(self, "elements", lengths)
+        if lengths and not np.isclose(sum(lengths), self.length, rtol=1e-9, atol=0.0):
+            raise ValueError(f"Rod elements add up to {sum(lengths):g} m; expected the length {self.length:g} m")
+        if isinstance(self.section, tuple) and len(self.section) != max(1, len(lengths)):
+            raise ValueError(
+                f"Rod has {len(self.section)} sections for {max(1, len(lengths))} elements; give one an element"
+            )
+
+    def __repr__(self) -> str:
+        """Arguments; options that are left at their defaults do not show."""
+        options = {"rest_curvature": (0.0, 0.0, 0.0), "elements": ()}
+        shown = [(f.name, getattr(self, f.name)) for f in fields(self)]
+        kept = [f"{name}={value!r}" for name, value in shown if name not in options or options[name] != value]
+        return f"Rod({', '.join(kept)})"
 
     @property
     def strain_set(self) -> StrainSet:
         """The strain set that ``strains`` names."""
-        return STRAIN_SETS[self.strains]
+        return self.strains if isinstance(self.strains, StrainSet) else STRAIN_SETS[self.strains]
 
     @property
-    def rest_strains(self) -> tuple[float, ...]:
-        """Rest values of (w1, w2, w3, v1, v2, v3): straight, unstretched."""
-        return (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    def uniform(self) -> bool:
+        """Whether section and material are the same everywhere."""
+        return isinstance(self.section, Section) and isinstance(self.material, Material)
+
+    # Along the rod ---------------------------------------------------------------------------------------------------
+
+    def section_at(self, s: float) -> Section:
+        """The cross-section at arclength ``s`` in m; a border belongs to the element before it."""
+        if isinstance(self.section, tuple):
+            owner = int(np.searchsorted(np.cumsum(self.elements)[:-1], s, side="left")) if self.elements else 0
+            return checked_section(self.section[owner], s)
+        if isinstance(self.section, Tapered):
+            return checked_section(self.section.between(s / self.length), s)
+        return checked_section(self.section(s) if callable(self.section) else self.section, s)
+
+    def material_at(self, s: float) -> Material:
+        """The material at arclength ``s`` in m."""
+        material = self.material(s) if callable(self.material) else self.material
+        if not isinstance(material, Material):
+            raise ValueError(f"Rod material at s = {s:g} m is {material!r}; expected one such as Elastic(...)")
+        return material
+
+    def rest_curvature_at(self, s: float) -> tuple[float, ...]:
+        """(w1, w2, w3) of the unloaded rod in 1/m at arclength ``s`` in m."""
+        value = self.rest_curvature(s) if callable(self.rest_curvature) else self.rest_curvature
+        return tuple(finite_array(np.asarray(value), f"Rod rest_curvature at s = {s:g} m", (3,)).tolist())
+
+    def profile(self, s: ArrayLike) -> Profile:
+        """Constants of the rod at arclengths ``s`` (S,) in m."""
+        points = np.atleast_1d(np.asarray(s, float)).tolist()
+        sections = [self.section_at(p) for p in points]
+        materials = [self.material_at(p) for p in points]
+        pairs = list(zip(sections, materials, strict=True))
+        return Profile(
+            stiffness=np.array([m.stiffness(c) for c, m in pairs], float).T,
+            mass=np.array([m.density * c.area for c, m in pairs]),
+            area=np.array([c.area for c in sections]),
+            inertia=np.array([[m.density * i for i in c.second_moments] for c, m in pairs]).T,
+            rest=np.array([[*self.rest_curvature_at(p), 0.0, 0.0, 1.0] for p in points]).T,
+        )
+
+    def rule(self, nodes: Sequence[int]) -> Rule:
+        """Gauss nodes: so many on every element."""
+        if len(nodes) == 1:
+            return GaussRule(self.length, nodes[0])
+        return CompositeRule(tuple(GaussRule(e, k) for e, k in zip(self.elements, nodes, strict=True)))
+
+    # Means -----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _means(self) -> tuple[tuple[float, ...], float, tuple[float, ...]]:
+        if self.uniform:
+            at = self.profile(0.0)
+            return tuple(at.stiffness[:, 0].tolist()), float(at.mass[0]), tuple(at.inertia[:, 0].tolist())
+        rule = self.rule([MEAN_NODES] * max(1, len(self.elements)))
+        along, share = self.profile(rule.nodes), rule.weights / self.length
+        stiffness = 1.0 / ((1.0 / along.stiffness) @ share)
+        return tuple(stiffness.tolist()), float(along.mass @ share), tuple((along.inertia @ share).tolist())
 
     @property
     def stiffness(self) -> tuple[float, ...]:
-        """Stiffness of (w1, w2, w3) in N m^2 and of (v1, v2, v3) in N."""
-        i1, i2, i3 = self.section.second_moments
-        young, shear, area = self.material.young, self.material.shear, self.section.area
-        k = self.section.shear_factor
-        return (young * i1, young * i2, shear * i3, k * shear * area, k * shear * area, young * area)
+        """Stiffness of (w1, w2, w3) in N m^2 and of (v1, v2, v3) in N; the harmonic mean where it varies."""
+        return self._means[0]
 
     @property
     def mass_per_length(self) -> float:
-        """rho A in kg/m."""
-        return self.material.density * self.section.area
+        """rho A in kg/m; its mean where it varies."""
+        return self._means[1]
 
     @property
     def inertia_per_length(self) -> tuple[float, ...]:
-        """rho J about the body axes in kg m."""
-        return tuple(self.material.density * i for i in self.section.second_moments)
+        """rho J about the body axes in kg m; its mean where it varies."""
+        return self._means[2]
 
     @property
     def bending_rate(self) -> float:
-        """First clamped-free bending frequency in rad/s (Euler-Bernoulli, beta L = 1.8751)."""
+        """First clamped-free bending frequency in rad/s (Euler-Bernoulli, beta L = 1.8751), of the mean rod."""
         stiffness = min(self.stiffness[:2])
         return float(1.8751040687119611**2 * np.sqrt(stiffness / (self.mass_per_length * self.length**4)))

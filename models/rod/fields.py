@@ -71,10 +71,9 @@ class Fields:
         xi, xi_t, xi_tt, u, balance = self.scene.dynamic_balance
         motion, rule = balance.motion, self.scene.rule
         points = list(self.points)
-        at, to = rule.interpolate(points), rule.integrate_to(points)
+        at = rule.interpolate(points)
         w, v = motion.integral(motion.w, at), motion.integral(balance.strain_v, at)
-        p, spin = motion.integral(motion.tangent, to), motion.integral(motion.spin_density, to)
-        velocity = motion.integral(motion.velocity_density, to)
+        p, spin, velocity = motion.position_at(points), motion.spin_at(points), motion.velocity_at(points)
         columns = []
         for k, frame in enumerate(motion.frames_at(points)):
             rotation = ca.vec(frame.T)
@@ -98,7 +97,8 @@ class Fields:
             raise ValueError(f"states have shape {states.shape}; expected (..., {self.scene.n_states}) for this scene")
         flat = finite_array(states.reshape(-1, states.shape[-1]), "states", (None, self.scene.n_states))
         values = np.empty((len(flat), N_FIELDS * len(self.points)))
+        native = self.scene.native(self.function)
         for start in range(0, len(flat), BLOCK):
             block = flat[start : start + BLOCK]
-            values[start : start + len(block)] = np.asarray(self.function.map(len(block))(block.T)).T
+            values[start : start + len(block)] = np.asarray(native.map(len(block))(block.T)).T
         return values.reshape(*states.shape[:-1], len(self.points), N_FIELDS)

@@ -1,9 +1,10 @@
-"""Gauss-Legendre collocation on [0, L]: nodes, weights, integration and interpolation matrices."""
+"""Gauss-Legendre collocation on [0, L], in one element or several: nodes, weights, integration, interpolation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,16 @@ class GaussRule:
         """Arclengths of the nodes (K,) in metres."""
         return 0.5 * self.length * (np.polynomial.legendre.leggauss(self.n_nodes)[0] + 1.0)
 
+    @property
+    def borders(self) -> tuple[float, ...]:
+        """Ends of the elements: 0 and L."""
+        return (0.0, self.length)
+
+    @property
+    def step_ends(self) -> tuple[float, ...]:
+        """Arclengths from which frames step on: the base and the nodes."""
+        return (0.0, *self.nodes.tolist())
+
     @cached_property
     def weights(self) -> Array:
         """Quadrature weights b (K,) in metres."""
@@ -54,6 +65,14 @@ class GaussRule:
             columns.append(np.polynomial.legendre.legval(x, np.polynomial.legendre.legint(unit, lbnd=-1.0)))
         return 0.5 * self.length * np.stack(columns, axis=1) @ self._to_legendre
 
+    @cached_property
+    def differentiation(self) -> Array:
+        """Matrix D (K, K): ``D @ g`` is dg/ds at every node."""
+        x = 2.0 * self.nodes / self.length - 1.0
+        units = np.eye(self.n_nodes)
+        slopes = [np.polynomial.legendre.legval(x, np.polynomial.legendre.legder(unit)) for unit in units]
+        return 2.0 / self.length * np.stack(slopes, axis=1) @ self._to_legendre
+
     def _legendre(self, s: ArrayLike) -> Array:
         x = 2.0 * np.atleast_1d(np.asarray(s, float)) / self.length - 1.0
         return np.polynomial.legendre.legvander(x, self.n_nodes - 1).astype(np.float64)
@@ -64,3 +83,86 @@ class GaussRule:
         x, b = np.polynomial.legendre.leggauss(self.n_nodes)
         degrees = np.arange(self.n_nodes)
         return (degrees + 0.5)[:, None] * np.polynomial.legendre.legvander(x, self.n_nodes - 1).T * b
+
+
+@dataclass(frozen=True)
+class CompositeRule:
+    """Gauss-Legendre nodes on several elements in a row: strains are smooth within each and may jump between them.
+
+    Offers what ``GaussRule`` offers. Integrals from the base run over whole elements and the part of the last one, so
+    the matrices are block triangular and the adjoint identity ``b_k (b_j - A_kj) = b_j A_jk`` holds across borders.
+    """
+
+    elements: tuple[GaussRule, ...]
+
+    @property
+    def length(self) -> float:
+        """Length of all elements in metres."""
+        return self.borders[-1]
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes K of all elements."""
+        return sum(element.n_nodes for element in self.elements)
+
+    @cached_property
+    def borders(self) -> tuple[float, ...]:
+        """Arclengths of the ends of the elements, from 0 to L."""
+        return (0.0, *np.cumsum([element.length for element in self.elements]).tolist())
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Arclengths of the nodes (K,) in metres."""
+        return np.concatenate([start + e.nodes for start, e in zip(self.borders, self.elements, strict=False)])
+
+    @property
+    def step_ends(self) -> tuple[float, ...]:
+        """Arclengths from which frames step on: the base, the nodes, and the borders between elements."""
+        return tuple(sorted((*self.borders[:-1], *self.nodes.tolist())))
+
+    @cached_property
+    def weights(self) -> Array:
+        """Quadrature weights b (K,) in metres."""
+        return np.concatenate([element.weights for element in self.elements])
+
+    @cached_property
+    def integration(self) -> Array:
+        """Matrix A (K, K): ``A @ g = int_0^{s_k} g ds`` at every node."""
+        return self.integrate_to(self.nodes)
+
+    @cached_property
+    def differentiation(self) -> Array:
+        """Matrix D (K, K): dg/ds at every node, within each element."""
+        matrix = np.zeros((self.n_nodes, self.n_nodes))
+        for columns, element in zip(self._columns, self.elements, strict=True):
+            matrix[columns, columns] = element.differentiation
+        return matrix
+
+    def interpolate(self, s: ArrayLike) -> Array:
+        """Rows of Lagrange weights (S, K); a border takes the values of the element before it."""
+        points = np.atleast_1d(np.asarray(s, float))
+        rows = np.zeros((len(points), self.n_nodes))
+        owner = np.searchsorted(self.borders[1:-1], points, side="left")
+        for k, (columns, element) in enumerate(zip(self._columns, self.elements, strict=True)):
+            rows[owner == k, columns] = element.interpolate(points[owner == k] - self.borders[k])
+        return rows
+
+    def integrate_to(self, s: ArrayLike) -> Array:
+        """Rows (S, K): integrals from 0 to each arclength in ``s`` from values at the nodes."""
+        points = np.atleast_1d(np.asarray(s, float))
+        rows = np.zeros((len(points), self.n_nodes))
+        for k, (columns, element) in enumerate(zip(self._columns, self.elements, strict=True)):
+            past = points >= self.borders[k + 1]
+            within = (points > self.borders[k]) & ~past
+            rows[past, columns] = element.weights
+            rows[within, columns] = element.integrate_to(points[within] - self.borders[k])
+        return rows
+
+    @cached_property
+    def _columns(self) -> list[slice]:
+        ends = np.cumsum([0, *(element.n_nodes for element in self.elements)]).tolist()
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+
+#: Either rule; a rod of one element has the simple one.
+Rule = GaussRule | CompositeRule

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
-
 from pisplit.models.rod.kinematics import Motion
-from pisplit.models.rod.loads import Input, Loads, Vector, checked_vector
+from pisplit.models.rod.loads import Input, Loads, Vector, checked_vector, spread
 
 
 @dataclass(frozen=True)
@@ -27,8 +25,9 @@ class Gravity:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Weight per length rho A g at every node."""
-        weight = motion.rod.mass_per_length * loads.read(self.acceleration)
-        loads.force += ca.repmat(weight, 1, motion.rule.n_nodes)
+        gravity = loads.read(self.acceleration)
+        loads.gravity += gravity
+        loads.force += spread(gravity, motion.profile.mass)
 
     def describe(self, rod: Any) -> str:
         """Acceleration in m/s^2."""

@@ -2,13 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
-from pisplit.models.rod.body import Rod
-from pisplit.models.rod.gauss import Array, GaussRule
+from pisplit.models.rod.body import Profile, Rod
+from pisplit.models.rod.gauss import Array, Rule
+
+
+@dataclass(frozen=True, eq=False)
+class BaseState:
+    """Symbolic motion of the base in world axes.
+
+    Attributes:
+        position (3,) in m, quaternion (4,), velocity (3,) in m/s, acceleration (3,) in m/s^2, spin (3,) in rad/s,
+        spin_rate (3,) in rad/s^2.
+    """
+
+    position: ca.SX
+    quaternion: ca.SX
+    velocity: ca.SX
+    acceleration: ca.SX
+    spin: ca.SX
+    spin_rate: ca.SX
+
+    @classmethod
+    def fixed(cls) -> BaseState:
+        """At the origin, upright, at rest; leaves nothing in a graph."""
+        zero = ca.SX(3, 1)
+        return cls(zero, ca.SX(ca.DM([1.0, 0.0, 0.0, 0.0])), zero, zero, zero, zero)
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,33 +44,39 @@ class Motion:
     (statics) every velocity folds to zero and leaves nothing in the graph.
 
     Equations (s = arclength, t = time; R_s = R hat(w), p_s = R v):
-        O_s = R w_t,  O_ts = O x R w_t + R w_tt      (O: world angular velocity, zero at the clamp)
+        O_s = R w_t,  O_ts = O x R w_t + R w_tt      (O: world angular velocity, that of the base at the clamp)
         p_ts = O x p_s + R v_t,  p_tts = O_t x p_s + O x (O x p_s) + 2 O x R v_t + R v_tt
     """
 
     rod: Rod
-    rule: GaussRule
+    rule: Rule
     strains: ca.SX
     rates: ca.SX
     accelerations: ca.SX
+    base: BaseState = field(default_factory=BaseState.fixed)
 
-    def _split(self, values: ca.SX, rest: tuple[float, ...]) -> tuple[ca.SX, ca.SX]:
+    @cached_property
+    def profile(self) -> Profile:
+        """Constants of the rod at the nodes."""
+        return self.rod.profile(self.rule.nodes)
+
+    def _split(self, values: ca.SX, rest: Array) -> tuple[ca.SX, ca.SX]:
         free, k = self.rod.strain_set, self.rule.n_nodes
         nodes = ca.horzsplit(ca.reshape(values, free.n_fields, k))
-        pairs = [free.split(node, rest) for node in nodes]
+        pairs = [free.split(node, column) for node, column in zip(nodes, rest.T.tolist(), strict=True)]
         return ca.horzcat(*[w for w, _ in pairs]), ca.horzcat(*[v for _, v in pairs])
 
     @cached_property
     def _wv(self) -> tuple[ca.SX, ca.SX]:
-        return self._split(self.strains, self.rod.rest_strains)
+        return self._split(self.strains, self.profile.rest)
 
     @cached_property
     def _wv_t(self) -> tuple[ca.SX, ca.SX]:
-        return self._split(self.rates, (0.0,) * 6)
+        return self._split(self.rates, np.zeros((6, self.rule.n_nodes)))
 
     @cached_property
     def _wv_tt(self) -> tuple[ca.SX, ca.SX]:
-        return self._split(self.accelerations, (0.0,) * 6)
+        return self._split(self.accelerations, np.zeros((6, self.rule.n_nodes)))
 
     @property
     def w(self) -> ca.SX:
@@ -73,9 +104,13 @@ class Motion:
         points = [*self.rule.nodes.tolist(), self.rule.length]
         return self.frames_at(points)
 
-    def frames_at(self, points: list[float]) -> list[ca.SX]:
+    def frames_at(self, points: Sequence[float]) -> list[ca.SX]:
         """Rotations R at arclengths."""
-        return self.rod.strain_set.frames(ca.horzsplit(self.w), self.rule, points)
+        return self.rod.strain_set.frames(self.w, self.rule, points, self._steps)
+
+    @cached_property
+    def _steps(self) -> list[ca.SX]:
+        return self.rod.strain_set.steps(self.w, self.rule, self.base.quaternion)
 
     @property
     def tip_frame(self) -> ca.SX:
@@ -114,12 +149,12 @@ class Motion:
     @cached_property
     def position(self) -> ca.SX:
         """p at the nodes in m."""
-        return self.from_base(self.tangent)
+        return self._based(self.base.position) + self.from_base(self.tangent)
 
     @cached_property
     def tip(self) -> ca.SX:
         """p(L) in m."""
-        return self.total(self.tangent)
+        return self.base.position + self.total(self.tangent)
 
     @cached_property
     def spin_density(self) -> ca.SX:
@@ -129,7 +164,7 @@ class Motion:
     @cached_property
     def spin(self) -> ca.SX:
         """World angular velocity O at the nodes in rad/s."""
-        return self.from_base(self.spin_density)
+        return self._based(self.base.spin) + self.from_base(self.spin_density)
 
     @cached_property
     def _stretching(self) -> ca.SX:
@@ -143,25 +178,65 @@ class Motion:
     @cached_property
     def velocity(self) -> ca.SX:
         """World velocity p_t at the nodes in m/s."""
-        return self.from_base(self.velocity_density)
+        return self._based(self.base.velocity) + self.from_base(self.velocity_density)
 
     @cached_property
     def tip_velocity(self) -> ca.SX:
         """p_t(L) in m/s."""
-        return self.total(self.velocity_density)
+        return self.base.velocity + self.total(self.velocity_density)
+
+    @cached_property
+    def spin_rate_density(self) -> ca.SX:
+        """O_ts."""
+        return columnwise_cross(self.spin, self.spin_density) + self.to_world(self._wv_tt[0])
 
     @cached_property
     def spin_rate(self) -> ca.SX:
         """O_t at the nodes in rad/s^2."""
-        density = columnwise_cross(self.spin, self.spin_density) + self.to_world(self._wv_tt[0])
-        return self.from_base(density)
+        return self._based(self.base.spin_rate) + self.from_base(self.spin_rate_density)
+
+    @cached_property
+    def acceleration_density(self) -> ca.SX:
+        """p_tts."""
+        carried = columnwise_cross(self.spin, columnwise_cross(self.spin, self.tangent) + 2.0 * self._stretching)
+        return columnwise_cross(self.spin_rate, self.tangent) + carried + self.to_world(self._wv_tt[1])
 
     @cached_property
     def acceleration(self) -> ca.SX:
         """World acceleration p_tt at the nodes in m/s^2."""
-        carried = columnwise_cross(self.spin, columnwise_cross(self.spin, self.tangent) + 2.0 * self._stretching)
-        density = columnwise_cross(self.spin_rate, self.tangent) + carried + self.to_world(self._wv_tt[1])
-        return self.from_base(density)
+        return self._based(self.base.acceleration) + self.from_base(self.acceleration_density)
+
+    # Anywhere on the rod ---------------------------------------------------------------------------------------------
+
+    def position_at(self, points: Sequence[float]) -> ca.SX:
+        """p (3, S) at arclengths in m."""
+        return self._along(self.base.position, self.tangent, points)
+
+    def velocity_at(self, points: Sequence[float]) -> ca.SX:
+        """World velocity p_t (3, S) at arclengths in m/s."""
+        return self._along(self.base.velocity, self.velocity_density, points)
+
+    def acceleration_at(self, points: Sequence[float]) -> ca.SX:
+        """World acceleration p_tt (3, S) at arclengths in m/s^2."""
+        return self._along(self.base.acceleration, self.acceleration_density, points)
+
+    def spin_at(self, points: Sequence[float]) -> ca.SX:
+        """World angular velocity O (3, S) at arclengths in rad/s."""
+        return self._along(self.base.spin, self.spin_density, points)
+
+    def spin_rate_at(self, points: Sequence[float]) -> ca.SX:
+        """O_t (3, S) at arclengths in rad/s^2."""
+        return self._along(self.base.spin_rate, self.spin_rate_density, points)
+
+    def frame_at(self, s: float) -> ca.SX:
+        """Rotation R at one arclength."""
+        return self.tip_frame if s == self.rule.length else self.frames_at([s])[0]
+
+    def _based(self, base: ca.SX) -> ca.SX:
+        return ca.repmat(base, 1, self.rule.n_nodes)
+
+    def _along(self, base: ca.SX, density: ca.SX, points: Sequence[float]) -> ca.SX:
+        return ca.repmat(base, 1, len(points)) + self.integral(density, self.rule.integrate_to(points))
 
 
 def columnwise_cross(a: ca.SX, b: ca.SX) -> ca.SX:

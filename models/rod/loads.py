@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import count, finite_array
+from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.kinematics import Motion
 
 
@@ -49,6 +49,10 @@ class Loads:
         tip_force, tip_moment: world wrench at the tip (3,) in N, N m.
         stress_w, stress_v: body moment (3, K) in N m and force (3, K) in N that a term adds to the elastic stress
             at the nodes (damping, tendons).
+        point_force, point_moment: world internal force (3, K) in N and moment in N m at the nodes that balance wrenches
+            at points of the rod (see ``add_at``); ``point_inertia`` (3, K) the same for inertia forces of added masses.
+        gravity: world acceleration of gravity (3,) in m/s^2.
+        moving: whether inertia counts.
         inputs: symbol of each input by name.
         outputs: quantities that a term offers for reading, by name (e.g. tendon tensions).
         work: stored energies in J by name.
@@ -60,14 +64,33 @@ class Loads:
     tip_moment: ca.SX
     stress_w: ca.SX
     stress_v: ca.SX
+    point_force: ca.SX
+    point_moment: ca.SX
+    point_inertia: ca.SX
+    gravity: ca.SX
+    moving: bool
     inputs: dict[str, ca.SX]
     outputs: dict[str, ca.SX] = field(default_factory=dict)
 
     @classmethod
-    def none(cls, n_nodes: int, inputs: dict[str, ca.SX]) -> Loads:
+    def none(cls, n_nodes: int, inputs: dict[str, ca.SX], moving: bool = True) -> Loads:
         """No loads at all."""
-        zero = ca.SX(3, n_nodes)
-        return cls(zero, zero, ca.SX(3, 1), ca.SX(3, 1), zero, zero, inputs)
+        nodes, point = ca.SX(3, n_nodes), ca.SX(3, 1)
+        return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, nodes, point, moving, inputs)
+
+    def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
+        """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``."""
+        if s == motion.rule.length:
+            self.tip_force += force
+            self.tip_moment += moment
+        else:
+            shares = ca.DM(shares_below(motion, s))
+            self.point_force += force @ shares
+            self.point_moment += moment @ shares
+
+    def add_inertia_at(self, motion: Motion, s: float, force: ca.SX) -> None:
+        """Add an inertia force (3,) in N at arclength ``s``."""
+        self.point_inertia += force @ ca.DM(shares_below(motion, s))
 
     def read(self, value: Vector) -> ca.SX:
         """Symbol of an input, or the numbers themselves."""
@@ -86,3 +109,35 @@ class Term(Protocol):
 
     def describe(self, rod: Any) -> str:
         """One line for the table of the scene."""
+
+
+def shares_below(motion: Motion, s: float) -> Array:
+    """By how much a wrench at arclength ``s`` loads each node (1, K): row(s)_j / b_j of the integration to ``s``.
+
+    Its work on the motion of that point, F . int_0^s p_ts, is the work of an internal force F row_j / b_j at the nodes,
+    so the load is the exact adjoint of the interpolated position and mass matrices stay symmetric. The shares are the
+    step from 1 below ``s`` to 0 above it, exactly so where an element ends at ``s``.
+    """
+    if s == motion.rule.length:
+        return np.ones((1, motion.rule.n_nodes))
+    shares: Array = motion.rule.integrate_to([s]) / motion.rule.weights
+    return shares
+
+
+def by_row(values: Array, rows: int) -> ca.SX:
+    """One number a node (K,) as a constant matrix (rows, K)."""
+    return ca.SX(ca.DM(np.tile(values, (rows, 1))))
+
+
+def spread(vector: ca.SX, values: Array) -> ca.SX:
+    """A vector (3,) times one number a node (K,): (3, K). Equal numbers are multiplied once."""
+    if np.ptp(values) == 0.0:
+        return ca.repmat(float(values[0]) * vector, 1, len(values))
+    return vector @ ca.DM(values[None, :])
+
+
+def on_the_rod(s: float, length: float, name: str) -> float:
+    """``s``, which must be an arclength above 0 and at most the length of the rod."""
+    if not 0.0 < s <= length:
+        raise ValueError(f"{name} at s = {s:g} m; expected an arclength above 0 and at most L = {length:g} m")
+    return s

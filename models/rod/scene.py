@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.balance import Balance, collect_inputs
 from pisplit.models.rod.body import Rod
 from pisplit.models.rod.damping import KelvinVoigt
-from pisplit.models.rod.gauss import GaussRule
+from pisplit.models.rod.gauss import Rule
 from pisplit.models.rod.loads import Input, Term
 from pisplit.models.rod.tendons import Displacement, Tendons
 
@@ -35,10 +36,11 @@ class Scene:
     Args:
         rod: the rod.
         terms: what acts on it; inputs add up in the order of the terms.
-        nodes: number of Gauss nodes K. Four give 1e-5 to 1e-4 L for a smooth arm, six 1e-6 to 1e-5.
+        nodes: number of Gauss nodes, of a rod with several elements on every element, or a number for each. Four give
+            1e-5 to 1e-4 L for a smooth arm, six 1e-6 to 1e-5. ``scene.nodes`` is the number K of all of them.
     """
 
-    def __init__(self, rod: Rod, *terms: Term, nodes: int = 4) -> None:
+    def __init__(self, rod: Rod, *terms: Term, nodes: int | Sequence[int] = 4) -> None:
         if not isinstance(rod, Rod):
             raise ValueError(f"Scene starts with a Rod; got {type(rod).__name__}")
         for term in terms:
@@ -46,7 +48,8 @@ class Scene:
                 raise ValueError(f"Scene term {term!r} has no inputs/apply/describe; give terms such as Gravity(...)")
         self.rod = rod
         self.terms = tuple(terms)
-        self.nodes = count(nodes, "Scene nodes", 2)
+        self.element_nodes = _nodes_of_elements(rod, nodes)
+        self.nodes = sum(self.element_nodes)
         self._check_tendons()
         self.inputs: tuple[Input, ...] = collect_inputs(self.terms)
 
@@ -60,12 +63,12 @@ class Scene:
                 raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
 
     def __add__(self, term: Term) -> Scene:
-        return Scene(self.rod, *self.terms, term, nodes=self.nodes)
+        return Scene(self.rod, *self.terms, term, nodes=self.element_nodes)
 
     def __sub__(self, term: Term) -> Scene:
         if term not in self.terms:
             raise ValueError(f"the scene does not contain {term!r}")
-        return Scene(self.rod, *[t for t in self.terms if t != term], nodes=self.nodes)
+        return Scene(self.rod, *[t for t in self.terms if t != term], nodes=self.element_nodes)
 
     def replace(self, term: Term) -> Scene:
         """The scene with ``term`` in place of the one of the same type."""
@@ -74,24 +77,24 @@ class Scene:
             raise ValueError(
                 f"the scene has {len(same)} terms of type {type(term).__name__}; replace needs exactly one"
             )
-        return Scene(self.rod, *[term if t is same[0] else t for t in self.terms], nodes=self.nodes)
+        return Scene(self.rod, *[term if t is same[0] else t for t in self.terms], nodes=self.element_nodes)
 
     def without(self, kind: type) -> Scene:
         """The scene without its terms of one type."""
-        return Scene(self.rod, *[t for t in self.terms if not isinstance(t, kind)], nodes=self.nodes)
+        return Scene(self.rod, *[t for t in self.terms if not isinstance(t, kind)], nodes=self.element_nodes)
 
-    def with_nodes(self, nodes: int) -> Scene:
+    def with_nodes(self, nodes: int | Sequence[int]) -> Scene:
         """The scene on another number of nodes."""
         return Scene(self.rod, *self.terms, nodes=nodes)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (self.rod, self.terms, self.nodes)  # graphs are rebuilt, not pickled
+        return _rebuild, (self.rod, self.terms, self.element_nodes)  # graphs are rebuilt, not pickled
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self.__reduce__() == other.__reduce__()
 
     def __hash__(self) -> int:
-        return hash((self.rod, self.terms, self.nodes))
+        return hash((self.rod, self.terms, self.element_nodes))
 
     def __str__(self) -> str:
         r = self.rod
@@ -127,9 +130,9 @@ class Scene:
         return tuple(f"{i.name}[{k}]" for i in self.inputs for k in range(i.size))
 
     @property
-    def rule(self) -> GaussRule:
+    def rule(self) -> Rule:
         """The collocation rule."""
-        return GaussRule(self.rod.length, self.nodes)
+        return self.rod.rule(self.element_nodes)
 
     # Scales ----------------------------------------------------------------------------------------------------------
 
@@ -142,7 +145,8 @@ class Scene:
     @property
     def rest_coordinates(self) -> Array:
         """Free strains of the unloaded rod (n_strains,)."""
-        return np.tile([self.rod.rest_strains[c] for c in self.rod.strain_set.free], self.nodes)
+        rest = self.rod.profile(self.rule.nodes).rest
+        return rest[list(self.rod.strain_set.free)].T.ravel()
 
     @property
     def nominal_residual(self) -> Array:
@@ -200,6 +204,17 @@ class Scene:
             "acceleration", [x, v, w], [-ca.solve(m, r, "qr", {"eps": 1e-30})], ["xi", "xi_t", "u"], ["xi_tt"]
         )
 
+    @cached_property
+    def motion_residual(self) -> ca.Function:
+        """``(xi, xi_t, xi_tt, u) -> residual`` with its iteration matrix: see ``residuals.motion_residual``."""
+        from pisplit.models.rod.residuals import motion_residual
+
+        return motion_residual(self)
+
+    def native(self, function: ca.Function) -> ca.Function:
+        """``function`` as this scene evaluates it: by the virtual machine of CasADi; compiled scenes differ."""
+        return function
+
     def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike) -> Array:
         """Stack a state [xi, xi_t, u] from its parts."""
         n = self.n_strains
@@ -229,10 +244,11 @@ class Scene:
     # Front doors -----------------------------------------------------------------------------------------------------
 
     def statics(self) -> Statics:
-        """Static equilibria: see ``Statics``."""
+        """Static equilibria: see ``Statics``; made once."""
         from pisplit.models.rod.statics import Statics
 
-        return Statics(self)
+        found: Statics = self.__dict__.setdefault("_statics", Statics(self))
+        return found
 
     def simulator(self, dt: float, **options: object) -> Simulator:
         """Dynamics over steps of ``dt`` seconds: see ``Simulator``."""
@@ -268,5 +284,16 @@ class Scene:
         return found
 
 
-def _rebuild(body: Rod, terms: tuple[Term, ...], nodes: int) -> Scene:
+def _rebuild(body: Rod, terms: tuple[Term, ...], nodes: tuple[int, ...]) -> Scene:
     return Scene(body, *terms, nodes=nodes)
+
+
+def _nodes_of_elements(body: Rod, nodes: int | Sequence[int]) -> tuple[int, ...]:
+    elements = max(1, len(body.elements))
+    if isinstance(nodes, tuple | list):
+        if len(nodes) != elements:
+            raise ValueError(
+                f"Scene has {len(nodes)} numbers of nodes for {elements} elements; give one for each, or one"
+            )
+        return tuple(count(k, "Scene nodes", 2) for k in nodes)
+    return (count(nodes, "Scene nodes", 2),) * elements

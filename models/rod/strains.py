@@ -13,7 +13,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from pisplit.models.rod.gauss import GaussRule
+from pisplit.models.rod.gauss import Rule
 from pisplit.models.rod.rotations import compose, exponential, rotation_about_y, rotation_matrix
 
 #: Order of the six strain components: bending about body axes 1 and 2, torsion, shear along 1 and 2, stretch.
@@ -22,10 +22,18 @@ COMPONENTS = ("w1", "w2", "w3", "v1", "v2", "v3")
 
 @dataclass(frozen=True)
 class StrainSet:
-    """Free strain components of a rod, by index into ``COMPONENTS``."""
+    """Free strain components of a rod, by index into ``COMPONENTS``, in increasing order."""
 
     name: str
     free: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        free = tuple(self.free)
+        if not free or list(free) != sorted(set(free)) or not set(free) <= set(range(len(COMPONENTS))):
+            raise ValueError(
+                f"StrainSet free = {self.free!r}; expected increasing indices from 0 to 5 into {COMPONENTS}"
+            )
+        object.__setattr__(self, "free", free)
 
     @property
     def n_fields(self) -> int:
@@ -35,7 +43,7 @@ class StrainSet:
     @property
     def planar(self) -> bool:
         """Whether the rod only bends about body axis 2, in the x-z plane."""
-        return not {0, 2, 3} & set(self.free)
+        return not {0, 2, 4} & set(self.free)
 
     def split(self, values: ca.SX, rest: Sequence[float]) -> tuple[ca.SX, ca.SX]:
         """Strains (w, v), each (3,), from the free components and the rest values of the others."""
@@ -44,33 +52,42 @@ class StrainSet:
             full[component] = values[row]
         return full[:3], full[3:]
 
-    def frames(self, w_nodes: Sequence[ca.SX], rule: GaussRule, s: Sequence[float]) -> list[ca.SX]:
-        """Rotation matrices at arclengths ``s`` from the strains ``w`` at the nodes; R(0) = I.
+    def steps(self, w_nodes: ca.SX, rule: Rule, base: ca.SX) -> list[ca.SX]:
+        """Quaternions (4,) at ``rule.step_ends`` from the strains ``w`` at the nodes (3, K) and that of the base.
 
-        Planar rods integrate the angle exactly. Otherwise fourth-order Magnus steps from node to node, and from the
-        last node to each arclength, so that a frame does not depend on which others are asked for (Iserles,
-        Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta Numerica 2000): for R' = R hat(w),
-        Omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 at the two Gauss points of each step.
+        Fourth-order Magnus steps from node to node (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta
+        Numerica 2000): for R' = R hat(w), Omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 at the two Gauss points
+        of each step. Planar rods need none.
+        """
+        ends = [base]
+        if not self.planar:
+            for start, end in pairwise(rule.step_ends):
+                ends.append(compose(ends[-1], _turn(w_nodes, rule, start, end)))
+        return ends
+
+    def frames(self, w_nodes: ca.SX, rule: Rule, s: Sequence[float], steps: Sequence[ca.SX]) -> list[ca.SX]:
+        """Rotation matrices at arclengths ``s`` from ``steps``, the quaternions at ``rule.step_ends``.
+
+        Planar rods integrate the angle exactly. Otherwise one more Magnus step leads from the last node to each
+        arclength, so that a frame does not depend on which others are asked for.
         """
         if self.planar:
-            curvature = ca.vertcat(*[w[1] for w in w_nodes])
-            return [rotation_about_y(ca.mtimes(ca.DM(row[None, :]), curvature)) for row in rule.integrate_to(s)]
-        w_all = ca.horzcat(*w_nodes)
-        ends = [0.0, *rule.nodes.tolist()]
-        at_ends = [ca.SX(ca.DM([1.0, 0.0, 0.0, 0.0]))]
-        for start, end in pairwise(ends):
-            at_ends.append(compose(at_ends[-1], _turn(w_all, rule, start, end)))
+            base = ca.sparsify(rotation_matrix(steps[0]))
+            return [
+                base @ rotation_about_y(ca.mtimes(ca.DM(row[None, :]), w_nodes[1, :].T)) for row in rule.integrate_to(s)
+            ]
+        ends = rule.step_ends
         frames = []
         for point in s:
             last = int(np.searchsorted(ends, point, side="right")) - 1
-            frame = at_ends[last]
+            frame = steps[last]
             if point > ends[last]:
-                frame = compose(frame, _turn(w_all, rule, ends[last], point))
+                frame = compose(frame, _turn(w_nodes, rule, ends[last], point))
             frames.append(rotation_matrix(frame))
         return frames
 
 
-def _turn(w_all: ca.SX, rule: GaussRule, start: float, end: float) -> ca.SX:
+def _turn(w_all: ca.SX, rule: Rule, start: float, end: float) -> ca.SX:
     """Quaternion of one Magnus step."""
     h = end - start
     points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
@@ -82,4 +99,5 @@ STRAIN_SETS = {
     "cosserat": StrainSet("cosserat", (0, 1, 2, 3, 4, 5)),
     "kirchhoff": StrainSet("kirchhoff", (0, 1, 2)),
     "planar": StrainSet("planar", (1,)),
+    "planar-cosserat": StrainSet("planar-cosserat", (1, 3, 5)),
 }
