@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 
 from pisplit.checks import Array, finite_array, finite_number
+from pisplit.structured import Transition
 
 
 class DisturbanceEstimator:
@@ -25,12 +25,7 @@ class DisturbanceEstimator:
             raise ValueError(f"estimator_gain = {self.gain:g}; expected a number from 0 (off) to 1 (dead-beat)")
         self._B = finite_array(B, "B", (None, None))
         M = self._B.shape[0]
-        A = finite_array(A, "A", (M, M))
-        # Delay rows only shift entries of z: kept sparse, a step costs the dense rows and not the whole matrix.
-        dense = np.count_nonzero(A, axis=1) > 0.1 * M
-        self._dense_rows = np.flatnonzero(dense)
-        self._dense = np.ascontiguousarray(A[dense])
-        self._sparse = sparse.csr_array(np.where(dense[:, None], 0.0, A))
+        self._transition = Transition(finite_array(A, "A", (M, M)))
         self._c = finite_array(c, "c", (M,))
         self.reset()
 
@@ -55,9 +50,7 @@ class DisturbanceEstimator:
 
     def predict(self, z: Array, features: Array) -> Array:
         """The next lifted state (M,) under the applied input features (P,); ``update`` compares with it."""
-        z_next = self._sparse @ z
-        z_next[self._dense_rows] += self._dense @ z
-        z_next += self._B @ features
+        z_next = self._transition(z) + self._B @ features
         z_next += self._c
         z_next += self._w
         self._predicted = z_next

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit import h5
 from pisplit.checks import finite_array, positive
 from pisplit.mapping import Mapped
+from pisplit.structured import Transition
 
 Array = NDArray[np.float64]
 
@@ -214,6 +215,10 @@ class LiftedModel:
         return {item.name: self.__dict__[item.name] for item in fields(self)}  # evaluators are rebuilt, not pickled
 
     @cached_property
+    def _transition(self) -> Transition:
+        return Transition(self.A)
+
+    @cached_property
     def _lift(self) -> Mapped:
         return Mapped(self.lift_function)
 
@@ -234,10 +239,10 @@ class LiftedModel:
         z[0] = start
         z[1:] = (features @ self.B.T + self.c).transpose(1, 0, 2)
         with np.errstate(over="ignore", invalid="ignore"):
-            if episodes == 1:
-                _propagate_one(self.A, z[:, 0])
+            if self._transition.structured or episodes == 1:
+                _propagate(self._transition, z)
             else:
-                _propagate(np.ascontiguousarray(self.A.T), z)
+                _propagate_rows(np.ascontiguousarray(self.A.T), z)
             x = (z @ self.C.T + self.d).transpose(1, 0, 2)
             z = z.transpose(1, 0, 2)
             within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
@@ -254,17 +259,19 @@ _FUNCTIONS = ("lift_function", "input_function")
 _NAMES = ("state_names", "input_names", "column_names", "feature_names")
 
 
-def _propagate_one(transition: Array, z: Array) -> None:
-    """z_{k+1} += A z_k for one episode, z (T+1, M) holds the forcing on entry."""
-    dot = transition.dot
-    previous = z[0]
-    for current in z[1:]:
+def _propagate(transition: Transition, z: Array) -> None:
+    """z_{k+1} += A z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
+    single = z.shape[1] == 1
+    dot = transition.matrix.dot if single and not transition.structured else transition
+    previous = z[0, 0] if single else z[0].T
+    for row in z[1:]:
+        current = row[0] if single else row.T
         current += dot(previous)
         previous = current
 
 
-def _propagate(transition_transposed: Array, z: Array) -> None:
-    """The same for E episodes side by side, z (T+1, E, M)."""
+def _propagate_rows(transition_transposed: Array, z: Array) -> None:
+    """The same for E episodes side by side under a matrix without structure."""
     for k in range(len(z) - 1):
         z[k + 1] += z[k] @ transition_transposed
 

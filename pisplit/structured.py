@@ -1,0 +1,49 @@
+"""Products with a transition matrix whose delay rows only shift entries: a step costs the dense rows alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from pisplit.checks import finite_array
+
+Array = NDArray[np.float64]
+
+#: Below this size the plain product is as fast.
+SMALL = 64
+#: Rows with a larger share of non-zero entries count as dense.
+DENSE_SHARE = 0.1
+
+
+class Transition:
+    """z -> A z for a square A (M, M), split into dense rows, rows that copy one entry of z, and other sparse rows."""
+
+    def __init__(self, A: Array) -> None:
+        self.matrix = finite_array(A, "A", (None, None))
+        size = len(self.matrix)
+        if self.matrix.shape != (size, size):
+            raise ValueError(f"A has shape {self.matrix.shape}; expected a square matrix")
+        filled = np.count_nonzero(self.matrix, axis=1)
+        self.structured = size > SMALL and bool((filled <= DENSE_SHARE * size).any())
+        if not self.structured:
+            return
+        dense = filled > DENSE_SHARE * size
+        column = np.argmax(self.matrix != 0.0, axis=1)
+        copies = (filled == 1) & (self.matrix[np.arange(size), column] == 1.0) & ~dense
+        self._dense_rows = np.flatnonzero(dense)
+        self._dense = np.ascontiguousarray(self.matrix[dense])
+        self._copy_rows, self._copied = np.flatnonzero(copies), column[copies]
+        self._other_rows = np.flatnonzero(~dense & ~copies)
+        self._other = sparse.csr_array(self.matrix[self._other_rows])
+
+    def __call__(self, z: Array) -> Array:
+        """A z for z (M,), or for every column of z (M, E)."""
+        if not self.structured:
+            return np.asarray(self.matrix @ z)
+        product = np.empty_like(z)
+        product[self._dense_rows] = self._dense @ z
+        product[self._copy_rows] = z[self._copied]
+        if len(self._other_rows):
+            product[self._other_rows] = self._other @ z
+        return product
