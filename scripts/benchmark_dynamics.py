@@ -150,7 +150,7 @@ def peer_points(commands: np.ndarray, reference: np.ndarray, quick: bool) -> lis
 
 def draw(points: list[Point], path: Path) -> None:
     """Error against CPU time, one line a method."""
-    figure, axes = plt.subplots(figsize=(7.0, 5.0), constrained_layout=True)
+    figure, axes = plt.subplots(figsize=(8.5, 5.0), constrained_layout=True)
     for label in dict.fromkeys(p.label for p in points):
         line = sorted((p for p in points if p.label == label), key=lambda p: -p.rtol)
         style = {"marker": "s", "linestyle": "--"} if "scipy" in label else {"marker": "o", "linestyle": "-"}
@@ -161,6 +161,6 @@ def draw(points: list[Point], path: Path) -> None:
     axes.set_ylabel("maximum tip error [parts of L]")
     axes.set_title("Paper's tendon arm: each line from loose to tight rtol; grey: targets")
     axes.grid(True, which="both", alpha=0.25)
-    axes.legend(loc="lower right")
+    figure.legend(loc="outside right upper")
     figure.savefig(path, dpi=140)
     plt.close(figure)

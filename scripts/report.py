@@ -10,7 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -83,7 +83,7 @@ class Report:
             "title": self.title,
             "figures": self.figures,
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-            "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+            "versions": {"python": platform.python_version(), **{name: _version(name) for name in LIBRARIES}},
             "seed": self.arguments.get("seed"),
             "arguments": self.arguments,
         }
@@ -97,3 +97,11 @@ class Report:
         except BaseException:
             os.unlink(name)
             raise
+
+
+def _version(name: str) -> str:
+    """Version of an installed library; a source tree that is run in place has none."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
