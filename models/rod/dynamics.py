@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -210,39 +210,8 @@ class Simulator:
 
     @cached_property
     def _balance(self) -> ca.Function:
-        """``(xi, xi_t, xi_tt, u) -> residual`` with the simplified iteration matrix as its Jacobian."""
-        scene = self.scene
-        n = scene.n_strains
-        xi, xi_t, xi_tt, u, full = scene.dynamic_balance
-        scale = ca.diag(1.0 / ca.DM(scene.nominal_residual))
-        force = ca.SX.sym("force", 3, scene.nodes)
-        at_rest = scene.balance(xi, ca.SX(n, 1), None, u, dead_force=force).residual
-        (stiffness,) = ca.substitute([ca.jacobian(at_rest, xi)], [force], [full.inertial_force])
-        massless = scene.balance(xi, xi_t, None, u).residual
-        blocks = [
-            scale @ stiffness,
-            scale @ ca.jacobian(massless, xi_t),
-            scale @ ca.jacobian(full.residual, xi_tt),
-            scale @ ca.jacobian(massless, u),
-        ]
-        names = ["xi", "xi_t", "xi_tt", "u"]
-        symbols = [xi, xi_t, xi_tt, u]
-        jacobian = ca.Function(
-            "jac_balance",
-            [*symbols, ca.SX.sym("residual", n)],
-            blocks,
-            [*names, "out_residual"],
-            [f"jac_residual_{name}" for name in names],
-            {"cse": True},
-        )
-        options: dict[str, Any] = {
-            "cse": True,
-            "custom_jacobian": jacobian,
-            "never_inline": True,
-            "enable_forward": False,  # otherwise derivatives are taken past the given Jacobian
-            "enable_reverse": False,
-        }
-        return ca.Function("balance", symbols, [scale @ full.residual], names, ["residual"], options)
+        """The residual with its simplified iteration matrix: see ``motion_residual``."""
+        return self.scene.native(self.scene.motion_residual)
 
     def _integrator(self, steps: int, correct_first: bool) -> ca.Function:
         key = (steps, correct_first)

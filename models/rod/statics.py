@@ -112,7 +112,7 @@ class Statics:
     def _rootfinder(self, solver: str, loaded: bool) -> ca.Function:
         x, u, load, residual = self._graph
         if loaded:
-            function = ca.Function("g", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
+            function = self.scene.native(self.residual_function)
         else:
             function = ca.Function("g", [x, u, load], [residual], {"cse": True})
         options: dict[str, Any] = {
@@ -178,7 +178,7 @@ class Statics:
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
             x = self._solve_block(guess(block), block)
-            g = np.abs(np.asarray(self.residual_function.map(len(block))(x.T, block.T)))
+            g = np.abs(np.asarray(self.scene.native(self.residual_function).map(len(block))(x.T, block.T)))
             found[start : start + len(block)] = x
             worst[start : start + len(block)] = np.where(np.isfinite(g), g, np.inf).max(axis=0, initial=0.0)
         for k in np.flatnonzero(worst > TOLERANCE):
@@ -225,7 +225,7 @@ class Statics:
         return (x if np.all(np.isfinite(x)) else x0), total, "continuation"
 
     def _worst(self, x: Array, u: Array) -> float:
-        g = np.abs(np.asarray(self.residual_function(x, u)))
+        g = np.abs(np.asarray(self.scene.native(self.residual_function)(x, u)))
         return float(g.max(initial=0.0)) if np.all(np.isfinite(g)) else float("inf")
 
     def _read(self, x: Array, u: Array) -> tuple[Array, Array]:
