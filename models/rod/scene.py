@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.balance import Balance, collect_inputs
+from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
 from pisplit.models.rod.damping import KelvinVoigt
 from pisplit.models.rod.gauss import Rule
@@ -50,17 +51,20 @@ class Scene:
         self.terms = tuple(terms)
         self.element_nodes = _nodes_of_elements(rod, nodes)
         self.nodes = sum(self.element_nodes)
-        self._check_tendons()
+        self._check_terms()
         self.inputs: tuple[Input, ...] = collect_inputs(self.terms)
 
-    def _check_tendons(self) -> None:
+    def _check_terms(self) -> None:
         names = [t.name for t in self.terms if isinstance(t, Tendons)]
         twice = {n for n in names if names.count(n) > 1}
         if twice:
             raise ValueError(f"two Tendons terms share the input {twice.pop()!r}; give one of them another name=")
-        for tendons in self.terms:
-            if isinstance(tendons, Tendons) and self.rod.strain_set.planar and any(y for _, y in tendons.offsets):
-                raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
+        if sum(isinstance(t, Base) for t in self.terms) > 1:
+            raise ValueError("a scene has one Base; use scene.replace(Base(...))")
+        for term in self.terms:
+            check = getattr(term, "check", None)
+            if check is not None:
+                check(self.rod, self.rule)
 
     def __add__(self, term: Term) -> Scene:
         return Scene(self.rod, *self.terms, term, nodes=self.element_nodes)
@@ -230,16 +234,23 @@ class Scene:
         """Inputs as an array; a displacement that would shorten a tendon to nothing raises."""
         array = finite_array(u, name, shape)
         start = 0
-        pulled = {t.name for t in self.terms if isinstance(t, Tendons) and isinstance(t.drive, Displacement)}
         for item in self.inputs:
-            if item.name in pulled:
-                most = float(np.max(array[..., start : start + item.size], initial=0.0))
-                if most >= self.rod.length:
-                    raise ValueError(
-                        f"{name} pulls a tendon of {self.rod.length:g} m by {most:g} m; give metres below its length"
-                    )
+            lengths = self._pulled_lengths.get(item.name)
+            if lengths is not None:
+                pulls = array[..., start : start + item.size].reshape(-1, item.size)
+                for most, length in zip(np.max(pulls, axis=0, initial=0.0), lengths, strict=True):
+                    if most >= length:
+                        raise ValueError(
+                            f"{name} pulls a tendon of {length:g} m by {most:g} m; give metres below its length"
+                        )
             start += item.size
         return array
+
+    @cached_property
+    def _pulled_lengths(self) -> dict[str, Array]:
+        """Unpulled lengths of the tendons that are driven by displacement, by input."""
+        pulled = [t for t in self.terms if isinstance(t, Tendons) and isinstance(t.drive, Displacement)]
+        return {t.name: t.unpulled_lengths(self.rod, self.rule) for t in pulled}
 
     # Front doors -----------------------------------------------------------------------------------------------------
 
