@@ -13,6 +13,7 @@ from pisplit.models.rod.drag import LinearDrag, QuadraticDrag
 from pisplit.models.rod.gravity import Gravity
 from pisplit.models.rod.loads import Input
 from pisplit.models.rod.material import Elastic, Stiffness
+from pisplit.models.rod.routing import Helix, Line
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.section import Circle, GeneralSection, Tapered, Tube
 from pisplit.models.rod.strains import StrainSet
@@ -26,8 +27,10 @@ __all__ = [
     "Elastic",
     "GeneralSection",
     "Gravity",
+    "Helix",
     "Input",
     "KelvinVoigt",
+    "Line",
     "LinearDrag",
     "QuadraticDrag",
     "Rod",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from pisplit.models.rod.gauss import Array, CompositeRule, GaussRule, Rule
 from pisplit.models.rod.material import Material
 from pisplit.models.rod.section import Section, Sections, Tapered, checked_section
 from pisplit.models.rod.strains import STRAIN_SETS, StrainSet
+from pisplit.models.rod.texts import OPTION, brief
 
 #: Nodes an element for the means of a rod that varies along its length.
 MEAN_NODES = 24
@@ -62,8 +63,8 @@ class Rod:
     section: Sections
     material: Material | Callable[[float], Material]
     strains: str | StrainSet = "kirchhoff"
-    rest_curvature: Curvature = (0.0, 0.0, 0.0)
-    elements: tuple[float, ...] = ()
+    rest_curvature: Curvature = field(default=(0.0, 0.0, 0.0), metadata=OPTION)
+    elements: tuple[float, ...] = field(default=(), metadata=OPTION)
 
     def __post_init__(self) -> None:
         positive(self.length, "Rod length", "m")
@@ -88,12 +89,7 @@ class Rod:
                 f"Rod has {len(self.section)} sections for {max(1, len(lengths))} elements; give one an element"
             )
 
-    def __repr__(self) -> str:
-        """Arguments; options that are left at their defaults do not show."""
-        options = {"rest_curvature": (0.0, 0.0, 0.0), "elements": ()}
-        shown = [(f.name, getattr(self, f.name)) for f in fields(self)]
-        kept = [f"{name}={value!r}" for name, value in shown if name not in options or options[name] != value]
-        return f"Rod({', '.join(kept)})"
+    __repr__ = brief
 
     @property
     def strain_set(self) -> StrainSet:

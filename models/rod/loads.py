@@ -99,7 +99,11 @@ class Loads:
 
 @runtime_checkable
 class Term(Protocol):
-    """Anything that acts on a rod. ``inputs`` lists what it reads; ``apply`` adds its loads."""
+    """Anything that acts on a rod. ``inputs`` lists what it reads; ``apply`` adds its loads.
+
+    A term that does not fit every rod may also have ``check(rod, rule)``, called when the scene is made; it raises
+    ValueError.
+    """
 
     @property
     def inputs(self) -> tuple[Input, ...]: ...
