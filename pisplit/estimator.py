@@ -118,7 +118,8 @@ class Estimator:
         self, theta: Dictionary, splitting: Splitting, d1: Episodes, pairs: Pairs, samples: PhaseSamples | None
     ) -> AlphaSearch:
         """Fit on all but a few training episodes, roll these out, choose alpha by the median error."""
-        grid = np.array(GRIDS[self.penalty] if self.alphas is None else self.alphas, dtype=np.float64)
+        default = getattr(splitting, "alphas", GRIDS[self.penalty])
+        grid = np.array(default if self.alphas is None else self.alphas, dtype=np.float64)
         training, held, names = _hold_out(d1, pairs, theta.n_delays)
         solve = splitting.solver(training)
         weights = _state_weights(theta, pairs)

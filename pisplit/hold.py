@@ -49,6 +49,9 @@ class Hold:
     ``toward`` nor ``half_step`` play a part.
     """
 
+    #: Default grid of alpha="cv": from the data alone to the physical map alone.
+    alphas = tuple(np.logspace(-8, 3, 12).tolist())
+
     def __init__(self, context: SplitContext) -> None:
         theta = context.theta
         unknown = set(context.options) - set(OPTIONS)
@@ -172,6 +175,8 @@ class Hold:
     def _ports(self, size: int) -> Array:
         options: Any = self.context.options
         if "ports" in options:
+            if self.context.rows is not None:
+                raise ValueError("options['ports'] and rows both say where h acts; give one of them")
             return _directions(options["ports"], "ports", (size, None))
         if self.context.rows == "inputs":
             return np.eye(size)

@@ -11,7 +11,7 @@ import sys
 from benchmark_control import measure_control
 from benchmark_dynamics import measure_dynamics
 from benchmark_statics import measure_statics
-from report import Report, parser
+from report import Report, parser, run
 
 
 def on_one_thread() -> None:
@@ -35,4 +35,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)
