@@ -20,6 +20,7 @@ from pisplit.models.rod.loads import Input, Term
 from pisplit.models.rod.tendons import Displacement, Tendons
 
 if TYPE_CHECKING:
+    from pisplit.models.rod.compiled import CompiledScene
     from pisplit.models.rod.coordinates import RodCoordinates
     from pisplit.models.rod.dynamics import Simulator
     from pisplit.models.rod.fields import Fields
@@ -266,6 +267,18 @@ class Scene:
         from pisplit.models.rod.dynamics import Simulator
 
         return Simulator(self, dt, **options)  # type: ignore[arg-type]
+
+    def compile(self, stations: int | ArrayLike = 6) -> CompiledScene:
+        """The same scene as machine code: residuals, Jacobians and the fields at ``stations``; see ``CompiledScene``.
+
+        Takes seconds once (more for many nodes); the libraries are kept in a user cache folder. Without a C compiler
+        one warning is logged and the scene is evaluated as before.
+        """
+        from pisplit.models.rod.compiled import CompiledScene
+
+        made = CompiledScene.of(self)
+        made.build([made.motion_residual, made.statics().residual_function, made.field_map(stations).function])
+        return made
 
     def linearise(self, state: ArrayLike) -> Linearisation:
         """Linear dynamics about a state: see ``Linearisation``."""

@@ -1,0 +1,163 @@
+"""Machine code of a scene gives the numbers of the virtual machine, from a cache that survives crowds and damage."""
+
+import logging
+import multiprocessing
+import pickle
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pisplit.models import rod
+from pisplit.models.rod import compiled
+
+STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
+PULLS = 0.004 * np.array([[1.0, -1.0], [-1.0, 1.0], [0.5, 0.0]])
+
+needs_compiler = pytest.mark.skipif(
+    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler on the PATH: nothing to compile with"
+)
+
+
+def arm(strains: str = "planar", nodes: int = 3) -> rod.Scene:
+    """A rod with everything that the solvers meet: gravity, damping, drag and two tendons."""
+    return rod.Scene(
+        rod.Rod(0.5, rod.Circle(1e-3), STEEL, strains),
+        rod.Gravity((-9.81, 0.0, 0.0)),
+        rod.KelvinVoigt(bending=5e-4, torsion=5e-4),
+        rod.QuadraticDrag(1e-3),
+        rod.Tendons([[0.015, 0.0], [-0.015, 0.0]], rod.Displacement(1e-4)),
+        nodes=nodes,
+    )
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache of machine code for one test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "pisplit"
+
+
+def libraries(cache: Path) -> list[Path]:
+    return sorted(cache.glob("*.so"))
+
+
+@needs_compiler
+@pytest.mark.parametrize("strains", ["planar", "kirchhoff"])
+def test_machine_code_gives_the_numbers_of_the_virtual_machine(strains: str, cache: Path) -> None:
+    interpreted = arm(strains, nodes=2)
+    machine = interpreted.compile(stations=2)
+    assert machine.machine_code and len(libraries(cache)) == 3
+    equilibria = [s.statics().solve(PULLS[0]) for s in (interpreted, machine)]
+    assert equilibria[0].success and equilibria[1].success
+    assert np.allclose(equilibria[0].state, equilibria[1].state, rtol=1e-10, atol=1e-10)
+    runs = [s.simulator(0.03, stations=2).run(PULLS, equilibria[0].state) for s in (interpreted, machine)]
+    assert runs[0].success and runs[1].success
+    assert np.allclose(runs[0].x, runs[1].x, rtol=1e-10, atol=1e-10 * np.abs(runs[0].x).max())
+    fields = [s.fields(runs[0].x, stations=2) for s in (interpreted, machine)]
+    assert np.allclose(fields[0], fields[1], rtol=1e-10, atol=1e-10)
+
+
+@needs_compiler
+def test_residual_and_jacobian_agree_at_random_states(cache: Path) -> None:
+    scene = arm("kirchhoff", nodes=2)
+    given = scene.motion_residual
+    (built,) = compiled.compiled_functions([given])
+    assert built is not given
+    rng = np.random.default_rng(0)
+    for size in (1e-3, 1.0, 30.0):
+        point = [size * rng.standard_normal(given.size1_in(i)) for i in range(3)] + [PULLS[0]]
+        assert np.allclose(np.asarray(built(*point)), np.asarray(given(*point)), rtol=1e-10, atol=1e-10)
+        blocks = [f.jacobian()(*point, np.zeros(scene.n_strains)) for f in (built, given)]
+        for mine, theirs in zip(*blocks, strict=True):
+            assert np.allclose(np.asarray(mine.full()), np.asarray(theirs.full()), rtol=1e-10, atol=1e-10)
+
+
+@needs_compiler
+def test_a_second_scene_with_the_same_content_builds_nothing(cache: Path) -> None:
+    arm().compile(stations=1)
+    before = {path: path.stat().st_mtime_ns for path in libraries(cache)}
+    twin = arm().compile(stations=1)
+    assert twin.machine_code
+    assert {path: path.stat().st_mtime_ns for path in libraries(cache)} == before
+    (arm() - rod.QuadraticDrag(1e-3)).compile(stations=1)
+    assert len(libraries(cache)) > len(before)
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", ["truncated", "empty", "not a library"])
+def test_a_broken_library_is_built_again(damage: str, cache: Path) -> None:
+    scene = arm(nodes=2)
+    compiled.compiled_functions([scene.motion_residual])
+    (path,) = libraries(cache)
+    content = path.read_bytes()
+    path.unlink()  # the process may still have it in memory: damage a new file, not the mapped one
+    path.write_bytes({"truncated": content[: len(content) // 2], "empty": b"", "not a library": b"x" * 5000}[damage])
+    (built,) = compiled.compiled_functions([scene.motion_residual])
+    assert built is not scene.motion_residual
+    assert path.read_bytes() == content
+
+
+def build_at(moment: float) -> tuple[bool, float]:
+    """Compile the arm at a moment shared by all processes; whether it is machine code, and its answer."""
+    while time.time() < moment:
+        time.sleep(1e-3)
+    machine = arm().compile(stations=1)
+    return machine.machine_code, float(machine.statics().solve(PULLS[0]).tip[0])
+
+
+@needs_compiler
+def test_processes_that_compile_at_once_do_not_clash(cache: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    with context.Pool(3) as pool:
+        found = pool.map(build_at, [time.time() + 0.3] * 3, chunksize=1)
+    assert {built for built, _ in found} == {True}
+    assert len({tip for _, tip in found}) == 1
+    assert len(libraries(cache)) == 3 and not list(cache.glob("build-*"))
+
+
+def test_without_a_compiler_the_virtual_machine_serves(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    with caplog.at_level(logging.WARNING):
+        machine = arm().compile(stations=1)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "no C compiler" in caplog.text
+    assert not machine.machine_code and not libraries(cache)
+    assert np.array_equal(machine.statics().solve(PULLS[0]).state, arm().statics().solve(PULLS[0]).state)
+
+
+def test_a_compiler_that_fails_is_told_in_one_line(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'no space left' >&2\nexit 3\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
+    machine = arm(nodes=2).compile(stations=1)
+    assert not machine.machine_code
+    assert len(caplog.records) == 1 and "status 3: no space left" in caplog.text
+    assert not list(cache.iterdir())
+
+
+def test_a_cache_folder_that_cannot_be_made_is_told_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "pisplit").write_text("a file where the folder should be")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert not arm(nodes=2).compile(stations=1).machine_code
+    assert len(caplog.records) == 1
+
+
+@needs_compiler
+def test_compiled_scenes_travel_between_processes(cache: Path) -> None:
+    machine = arm(nodes=2).compile(stations=1)
+    copy = pickle.loads(pickle.dumps(machine))
+    assert copy == machine and copy != arm(nodes=2) and isinstance(copy, compiled.CompiledScene)
+    before = {path: path.stat().st_mtime_ns for path in libraries(cache)}
+    assert copy.statics().solve(PULLS[0]).success and copy.machine_code
+    assert {path: path.stat().st_mtime_ns for path in libraries(cache)} == before
