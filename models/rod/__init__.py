@@ -8,11 +8,15 @@ A scene is a rod and terms that act on it::
 
 from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
+from pisplit.models.rod.buoyancy import Buoyancy
+from pisplit.models.rod.chambers import Chambers
 from pisplit.models.rod.damping import KelvinVoigt
-from pisplit.models.rod.drag import LinearDrag, QuadraticDrag
+from pisplit.models.rod.distributed import DistributedWrench
+from pisplit.models.rod.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
 from pisplit.models.rod.gravity import Gravity
 from pisplit.models.rod.loads import Input
 from pisplit.models.rod.material import Elastic, Stiffness
+from pisplit.models.rod.points import PointMass, PointWrench, Spring
 from pisplit.models.rod.routing import Helix, Line
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.section import Circle, GeneralSection, Tapered, Tube
@@ -21,9 +25,13 @@ from pisplit.models.rod.tendons import Displacement, Tendons, Tension
 from pisplit.models.rod.wrench import TipWrench
 
 __all__ = [
+    "AnisotropicDrag",
     "Base",
+    "Buoyancy",
+    "Chambers",
     "Circle",
     "Displacement",
+    "DistributedWrench",
     "Elastic",
     "GeneralSection",
     "Gravity",
@@ -32,9 +40,12 @@ __all__ = [
     "KelvinVoigt",
     "Line",
     "LinearDrag",
+    "PointMass",
+    "PointWrench",
     "QuadraticDrag",
     "Rod",
     "Scene",
+    "Spring",
     "Stiffness",
     "StrainSet",
     "Tapered",

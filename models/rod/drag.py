@@ -1,8 +1,8 @@
-"""Drag of the surrounding medium."""
+"""Drag of the surrounding medium, the same in all directions or along and across the rod."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import casadi as ca
@@ -63,3 +63,58 @@ class QuadraticDrag:
     def describe(self, rod: Any) -> str:
         """Coefficient."""
         return f"quadratic drag {self.coefficient:g} N s^2/m^3"
+
+
+@dataclass(frozen=True)
+class AnisotropicDrag:
+    """Force per length of different drag across (n) and along (t) the rod, about the body axes.
+
+    With the body velocity q = R^T p_t, its part q_n across axis 3 and q_t along it:
+    f = -R [(c_n + d_n |q_n|) q_n + (c_t + d_t |q_t|) q_t]. For a cylinder of radius r in a medium of density rho the
+    quadratic coefficients are rho r C_n and pi rho r C_t with C_n about 1.1, C_t about 0.01
+    (Taylor, Proc. R. Soc. A 1952).
+
+    Args:
+        normal, tangential: linear coefficients c_n, c_t in N s/m^2.
+        normal_quadratic, tangential_quadratic: coefficients d_n, d_t in N s^2/m^3.
+    """
+
+    normal: float = 0.0
+    tangential: float = 0.0
+    normal_quadratic: float = 0.0
+    tangential_quadratic: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            non_negative(getattr(self, item.name), f"AnisotropicDrag {item.name}")
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """None."""
+        return ()
+
+    def apply(self, motion: Motion, loads: Loads) -> None:
+        """Add the drag at every node."""
+        if motion.velocity.nnz() == 0 or motion.velocity.is_zero():
+            return
+        q = motion.to_body(motion.velocity)
+        across, along = q[:2, :], q[2, :]
+        force_n = _drag(self.normal, self.normal_quadratic, across)
+        force_t = _drag(self.tangential, self.tangential_quadratic, along)
+        loads.force -= motion.to_world(ca.vertcat(force_n, force_t))
+
+    def describe(self, rod: Any) -> str:
+        """Coefficients."""
+        return (
+            f"drag across {self.normal:g} N s/m^2, {self.normal_quadratic:g} N s^2/m^3, "
+            f"along {self.tangential:g} N s/m^2, {self.tangential_quadratic:g} N s^2/m^3"
+        )
+
+
+def _drag(linear: float, quadratic: float, q: ca.SX) -> ca.SX:
+    """(c + d |q|) q column by column; what is zero leaves nothing."""
+    force = linear * q
+    if quadratic > 0.0:
+        speed = ca.sqrt(ca.sum1(q * q) + SPEED_FLOOR**2)
+        force += quadratic * ca.repmat(speed, q.shape[0], 1) * q
+    return force

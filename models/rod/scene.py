@@ -14,6 +14,7 @@ from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.balance import Balance, collect_inputs
 from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
+from pisplit.models.rod.chambers import Chambers
 from pisplit.models.rod.damping import KelvinVoigt
 from pisplit.models.rod.gauss import Rule
 from pisplit.models.rod.loads import Input, Term
@@ -56,10 +57,12 @@ class Scene:
         self.inputs: tuple[Input, ...] = collect_inputs(self.terms)
 
     def _check_terms(self) -> None:
-        names = [t.name for t in self.terms if isinstance(t, Tendons)]
+        named = [t for t in self.terms if isinstance(t, Tendons | Chambers)]
+        names = [t.name for t in named]
         twice = {n for n in names if names.count(n) > 1}
         if twice:
-            raise ValueError(f"two Tendons terms share the input {twice.pop()!r}; give one of them another name=")
+            kinds = " and ".join(sorted({type(t).__name__ for t in named if t.name in twice}))
+            raise ValueError(f"two {kinds} terms share the input {twice.pop()!r}; give one of them another name=")
         if sum(isinstance(t, Base) for t in self.terms) > 1:
             raise ValueError("a scene has one Base; use scene.replace(Base(...))")
         for term in self.terms:

@@ -147,7 +147,7 @@ class Tendons:
         end: float | None = None,
         friction: float = 0.0,
     ) -> Tendons:
-        """Tendons at ``angles_deg``; their offset goes from ``start`` at the base to ``end_offset`` at ``length`` (m)."""
+        """Tendons at ``angles_deg`` with an offset from ``start`` at the base to ``end_offset`` at ``length``; in m."""
         directions = on_circle(1.0, angles_deg, "Tendons")
         lines = [Line((start * x, start * y), (end_offset * x, end_offset * y), length) for x, y in directions]
         return cls(lines, drive, name, end, friction)
