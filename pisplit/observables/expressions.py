@@ -1,0 +1,112 @@
+"""Columns that the user writes: CasADi expressions, and functions of states or of inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import casadi as ca
+
+from pisplit.observables.columns import Base, Columns, Names, Symbol, column_names
+
+
+@dataclass(frozen=True)
+class Expression(Base):
+    """Any columns ``function(x, u)`` written in CasADi operations, of the state alone or of the input alone.
+
+    ``name`` is one text, or one for each column; ``quantity`` the scaling group (default: each column its own).
+    Raises ValueError if the columns depend on both x and u.
+    """
+
+    function: Callable[[Symbol, Symbol], Symbol]
+    name: str | Sequence[str] = field(kw_only=True)
+    quantity: str | None = field(default=None, kw_only=True)
+
+    def state_columns(self, x: Symbol, names: Names) -> Columns | None:
+        u = type(x).sym("u", len(names.inputs))
+        values, of_state, of_input = self._evaluate(x, u)
+        return self._columns(values) if of_state or not of_input else None
+
+    def input_columns(self, u: Symbol, names: Names) -> Columns | None:
+        x = type(u).sym("x", len(names.states))
+        values, of_state, of_input = self._evaluate(x, u)
+        return self._columns(values) if of_input and not of_state else None
+
+    def _evaluate(self, x: Symbol, u: Symbol) -> tuple[Symbol, bool, bool]:
+        result = self.function(x, u)
+        values = ca.vec(ca.vertcat(*result) if isinstance(result, list | tuple) else type(x)(result))
+        of_state, of_input = bool(ca.depends_on(values, x)), bool(ca.depends_on(values, u))
+        if of_state and of_input:
+            raise ValueError(
+                f"Expression {self.name!r} depends on x and on u; a linear model takes functions of one of them "
+                "(products of both belong to BilinearEDMDc)"
+            )
+        return values, of_state, of_input
+
+    def _columns(self, values: Symbol) -> Columns:
+        names = column_names(self.name, values.shape[0])
+        return Columns(values, names, (self.quantity,) * len(names) if self.quantity else names)
+
+
+@dataclass(frozen=True)
+class StateMap(Base):
+    """Columns ``function(x)`` of a CasADi Function x (n,) -> (p,), for instance a robot's own coordinates.
+
+    ``names`` and ``quantities`` have p entries (quantities default to the names: each column its own scale).
+    """
+
+    function: ca.Function
+    names: str | Sequence[str] = "map"
+    quantities: Sequence[str] | None = None
+
+    def state_columns(self, x: Symbol, names: Names) -> Columns:
+        return _call(self.function, x, "x", self.names, self.quantities)
+
+
+class CoordinateSource(Protocol):
+    """A model that reads its own coordinates from measured states, such as a rod scene."""
+
+    def coordinates(self, stations: Any) -> Any:
+        """An object with ``function`` (CasADi, x -> coordinates), ``names`` and ``quantities``."""
+
+
+def RodCoordinates(scene: CoordinateSource, stations: Any = 6) -> StateMap:
+    """Columns of a rod's own coordinates (strains and their rates) read from its measured fields at stations."""
+    found = scene.coordinates(stations)
+    return StateMap(found.function, found.names, found.quantities)
+
+
+@dataclass(frozen=True)
+class Equilibrium(Base):
+    """Columns ``function(u)`` of a CasADi Function u (m,) -> (p,): features of the equilibrium x_eq(u) under u.
+
+    The function may contain a rootfinder or an interpolant. ``quantities`` default to one scale for all features.
+    """
+
+    function: ca.Function
+    names: str | Sequence[str] = "x_eq"
+    quantities: Sequence[str] | None = None
+
+    def input_columns(self, u: Symbol, names: Names) -> Columns:
+        size = self.function.numel_out(0)
+        quantities = ("x_eq",) * size if self.quantities is None else self.quantities
+        return _call(self.function, u, "u", self.names, quantities)
+
+
+def _call(
+    function: ca.Function, symbol: Symbol, what: str, names: str | Sequence[str], quantities: Sequence[str] | None
+) -> Columns:
+    if not isinstance(function, ca.Function):
+        raise ValueError(f"function is a {type(function).__name__}; expected a casadi.Function of {what}")
+    if function.n_in() != 1 or function.numel_in(0) != symbol.shape[0]:
+        given = [function.numel_in(i) for i in range(function.n_in())]
+        raise ValueError(
+            f"{function.name()} takes arguments of sizes {given}; expected one: {what} ({symbol.shape[0]},)"
+        )
+    values = ca.vec(ca.densify(function(symbol)))
+    labels = column_names(names, values.shape[0])
+    groups = labels if quantities is None else tuple(str(q) for q in quantities)
+    if len(groups) != len(labels):
+        raise ValueError(f"quantities has {len(groups)} entries; expected {len(labels)}, one a column")
+    return Columns(values, labels, groups)
