@@ -21,8 +21,12 @@ from pisplit.models.rod.loads import Input, Term
 from pisplit.models.rod.tendons import Displacement, Tendons
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pisplit.models.rod.codegen import Exported
     from pisplit.models.rod.compiled import CompiledScene
     from pisplit.models.rod.coordinates import RodCoordinates
+    from pisplit.models.rod.cost import Cost
     from pisplit.models.rod.dynamics import Simulator
     from pisplit.models.rod.fields import Fields
     from pisplit.models.rod.linear import Linearisation
@@ -282,6 +286,18 @@ class Scene:
         made = CompiledScene.of(self)
         made.build([made.motion_residual, made.statics().residual_function, made.field_map(stations).function])
         return made
+
+    def codegen(self, path: str | Path, dt: float, substeps: int = 8, stations: int = 6) -> Exported:
+        """The scene as dependency-free C with a step of fixed cost, for a controller board: see ``codegen.codegen``."""
+        from pisplit.models.rod.codegen import codegen
+
+        return codegen(self, path, dt, substeps, stations)
+
+    def cost(self) -> Cost:
+        """Instruction counts of residuals and Jacobians by term: see ``Cost``."""
+        from pisplit.models.rod.cost import cost
+
+        return cost(self)
 
     def linearise(self, state: ArrayLike) -> Linearisation:
         """Linear dynamics about a state: see ``Linearisation``."""
