@@ -3,6 +3,7 @@
 from pathlib import Path as _Path
 
 from pisplit import observables
+from pisplit.bilinear import BilinearEDMDc
 from pisplit.dictionary import Dictionary
 from pisplit.edmdc import LinearEDMDc
 from pisplit.episodes import Episodes
@@ -10,7 +11,16 @@ from pisplit.lifted import LiftedModel
 from pisplit.phase import PhaseSamples
 from pisplit.pi import PIEDMDc
 
-__all__ = ["Dictionary", "Episodes", "LiftedModel", "LinearEDMDc", "PIEDMDc", "PhaseSamples", "observables"]
+__all__ = [
+    "BilinearEDMDc",
+    "Dictionary",
+    "Episodes",
+    "LiftedModel",
+    "LinearEDMDc",
+    "PIEDMDc",
+    "PhaseSamples",
+    "observables",
+]
 
 _root = _Path(__file__).resolve().parent.parent
 if (_root / "models" / "__init__.py").exists() and (_root / "pyproject.toml").exists():

@@ -168,19 +168,19 @@ class Dictionary:
     @cached_property
     def column_names(self) -> tuple[str, ...]:
         """Names of all columns of Theta: psi, then phi, then their products with the inputs."""
-        plain = self._labels(self._state_part.names, self.names.states, self._input_part.names, "{}[k-{}]")
+        plain = self._plain_names()
         return (*plain, *(f"{u}*{plain[j]}" for u in self.names.inputs for j in self.products))
 
     @cached_property
     def column_quantities(self) -> tuple[str, ...]:
         """Physical quantity of every column: columns of one quantity share one scale."""
-        plain = self._labels(self._state_part.quantities, self.names.quantities, self._input_part.quantities, "{}")
+        plain = self._plain_quantities()
         return (*plain, *(f"{u}*{plain[j]}" for u in self.names.input_quantities for j in self.products))
 
     @property
     def lifted_names(self) -> tuple[str, ...]:
         """Names of the columns of psi."""
-        return self.column_names[: self.n_lifted]
+        return self._plain_names()[: self.n_lifted]
 
     @property
     def feature_names(self) -> tuple[str, ...]:
@@ -260,6 +260,9 @@ class Dictionary:
         """
         derivative = np.zeros((len(states), self.n_columns))
         derivative[:, : self.n_present] = self.present_derivative(states, velocities)
+        if self.is_bilinear:
+            products = inputs[:, :, None] * derivative[:, None, self.products]
+            derivative[:, self.n_lifted + self.n_features :] = products.reshape(len(states), -1)
         return derivative
 
     def present_derivative(self, states: Array, velocities: Array) -> Array:
@@ -368,7 +371,7 @@ class Dictionary:
         if product.columns is None:
             skipped = self.constant_column if self._structure.inputs else None
             return np.array([i for i in plain if i != skipped], dtype=np.int64)
-        labels = [(self.column_names[i], self.column_quantities[i]) for i in plain]
+        labels = list(zip(self._plain_names(), self._plain_quantities(), strict=True))[: self.n_lifted]
         unknown = [name for name in product.columns if not any(name in label for label in labels)]
         if unknown or not product.columns:
             raise ValueError(f"Bilinear names {unknown[:3]}; expected names or quantities of lifted columns")
@@ -393,6 +396,13 @@ class Dictionary:
             psi[:, at : at + self.n_features] = self._features(np.ascontiguousarray(u_history[:, last - j]))
             at += self.n_features
         return psi
+
+    def _plain_names(self) -> tuple[str, ...]:
+        """Names of psi and phi, without products."""
+        return self._labels(self._state_part.names, self.names.states, self._input_part.names, "{}[k-{}]")
+
+    def _plain_quantities(self) -> tuple[str, ...]:
+        return self._labels(self._state_part.quantities, self.names.quantities, self._input_part.quantities, "{}")
 
     def _labels(
         self, present: Sequence[str], states: Sequence[str], features: Sequence[str], form: str

@@ -1,4 +1,4 @@
-"""Extended dynamic mode decomposition with control, linear in the lifted state."""
+"""Extended dynamic mode decomposition with control by one regression, linear in the lifted state."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pisplit.splitting import Direct, SplitContext, Splitting
 Array = NDArray[np.float64]
 
 
-class LinearEDMDc(Estimator):
-    """L-EDMDc: K = argmin |K Theta(X, U) - psi(X')|^2 + alpha |K| (paper, eq. discrete-time-koop; Korda, Mezic 2018).
+class DirectEDMDc(Estimator):
+    """K = argmin |K Theta(X, U) - psi(X')|^2 + alpha |K| (paper, eq. discrete-time-koop), from pairs alone.
 
     theta      dictionary
     alpha      weight of the penalty, or "cv": chosen on roll-outs of held-out training episodes
@@ -47,17 +47,14 @@ class LinearEDMDc(Estimator):
     ) -> None:
         self.theta = theta
         self.alpha = alpha
-        self.penalty = one_of(penalty, "penalty", PENALTIES)
+        one_of(penalty, "penalty", PENALTIES)
+        non_negative(cv_tolerance, "cv_tolerance")
+        self.penalty = penalty
         self.scale = scale
         self.relative = relative
         self.alphas = alphas
         self.cv_states = cv_states
-        self.cv_tolerance = non_negative(cv_tolerance, "cv_tolerance")
-
-    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> LinearEDMDc:
-        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself."""
-        self._fit(d1, None, pairs)
-        return self
+        self.cv_tolerance = cv_tolerance
 
     def _splitting(self, context: SplitContext) -> Splitting:
         return Direct(context)
@@ -75,3 +72,12 @@ class LinearEDMDc(Estimator):
             relative=self.relative,
             generator_alpha=0.0,
         )
+
+
+class LinearEDMDc(DirectEDMDc):
+    """L-EDMDc: z+ = A z + B phi(u) (paper; Korda and Mezic, Automatica 93, 2018). Options: :class:`DirectEDMDc`."""
+
+    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> LinearEDMDc:
+        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself."""
+        self._fit(d1, None, pairs)
+        return self

@@ -6,7 +6,7 @@ import inspect
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from pisplit.checks import finite_array, non_negative
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.evaluate import RolloutErrors, rollout_errors
-from pisplit.export import lifted_model, transition
+from pisplit.export import lifted_model, operators
 from pisplit.lifted import LiftedModel
 from pisplit.moments import accumulate
 from pisplit.phase import PhaseSamples
@@ -23,6 +23,8 @@ from pisplit.scaling import column_scales
 from pisplit.splitting import SplitContext, SplitFit, Splitting, pair_moments
 
 Array = NDArray[np.float64]
+
+_E = TypeVar("_E", bound="Estimator")
 
 GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
 MAX_HELD_OUT = 4
@@ -61,9 +63,20 @@ class Estimator:
     alpha_: float
     cv_: AlphaSearch | None
 
-    def get_params(self) -> dict[str, Any]:
-        """The options the estimator was made with."""
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """The options the estimator was made with (``deep`` is scikit-learn's, and changes nothing here)."""
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def set_params(self: _E, **params: Any) -> _E:
+        """Change options, with the checks of the constructor; what was fitted stays until the next fit."""
+        known = self.get_params()
+        unknown = sorted(set(params) - set(known))
+        if unknown:
+            raise ValueError(f"{type(self).__name__} has no option {unknown[0]!r}; it has {', '.join(known)}")
+        replacement = type(self)(**{**known, **params})
+        for name in known:
+            setattr(self, name, getattr(replacement, name))
+        return self
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in self.get_params().items())})"
@@ -93,10 +106,17 @@ class Estimator:
     def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
         raise NotImplementedError
 
+    def _dictionary(self, d1: Episodes) -> Dictionary:
+        """The dictionary with the names of the data."""
+        theta = self.theta.named_after(d1)
+        if theta.is_bilinear:
+            raise ValueError(f"{type(self).__name__} is linear in z; ob.Bilinear products belong to BilinearEDMDc")
+        return theta
+
     def _fit(self, d1: Episodes, samples: PhaseSamples | None, pairs: Pairs | None) -> None:
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
-        theta = self.theta.named_after(d1)
+        theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
         scale = column_scales(pair_moments(theta, chosen).std[: theta.n_columns], theta.column_quantities, self.scale)
         splitting = self._splitting(self._context(theta, scale, d1.dt, samples))
@@ -107,6 +127,7 @@ class Estimator:
             "estimator": type(self).__name__,
             "options": {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float | None)},
             "alpha": alpha,
+            "dictionary": theta.fingerprint(),
             "pairs": len(chosen),
             "details": dict(fit.details),
             "data": dict(d1.provenance or {}),
@@ -138,8 +159,7 @@ class Estimator:
         """Median error of held-out roll-outs with the dynamics ``k`` and the read-out of ``base``."""
         if not np.isfinite(k).all():
             return np.inf
-        a, b = transition(theta, k)
-        return rollout_errors(replace(base, A=a, B=b), held, self.cv_states, weights).median
+        return rollout_errors(replace(base, **operators(theta, k)), held, self.cv_states, weights).median
 
     def _fitted(self) -> LiftedModel:
         if not hasattr(self, "lifted"):

@@ -30,17 +30,15 @@ def lifted_model(
     provenance: Mapping[str, Any],
     samples: PhaseSamples | None = None,
 ) -> LiftedModel:
-    """The model z+ = A z + B phi(u), y = C z + d of the learned rows ``k`` (S, M) in physical units.
+    """The model z+ = A z + B phi(u) (+ sum_i u_i N_i z), y = C z + d of learned rows ``k`` (S, M), physical units.
 
     The constant keeps its value and delays shift exactly: those rows are written, not learned. Where the states are not
     columns of the dictionary, C and d are regressed on the training pairs and, where there are any, the phase samples.
     """
-    a, b = transition(theta, k)
     read, offset = _read_out(theta, pairs, samples)
     mean, basis = excited_directions(np.vstack([pairs.u, pairs.u_history.reshape(-1, theta.n_inputs)]))
     return LiftedModel(
-        A=a,
-        B=b,
+        **operators(theta, k),
         c=np.zeros(theta.n_lifted),
         C=read,
         d=offset,
@@ -60,21 +58,26 @@ def lifted_model(
     )
 
 
-def transition(theta: Dictionary, k: Array) -> tuple[Array, Array]:
-    """A (M_z, M_z) and B (M_z, P) from the learned rows ``k`` (S, M): the other rows are known exactly."""
+def operators(theta: Dictionary, k: Array) -> dict[str, Any]:
+    """A (M_z, M_z), B (M_z, P) and N (m, M_z, M_z) or None from the learned rows ``k`` (S, M): others are known."""
     rows = np.zeros((theta.n_lifted, theta.n_columns))
     rows[theta.learned_columns] = k
     if theta.constant_column is not None:
         rows[theta.constant_column, theta.constant_column] = 1.0
     at = theta.n_present
     states = np.empty(0, dtype=np.int64) if theta.state_columns is None else theta.state_columns
-    features = np.arange(theta.n_lifted, theta.n_columns)
+    features = np.arange(theta.n_lifted, theta.n_lifted + theta.n_features)
     for delays, source in ((theta.state_delays, states), (theta.input_delays, features)):
         for _ in range(delays):  # x_{k-1} becomes what x_k is now, x_{k-2} what x_{k-1} is now, ...
             target = np.arange(at, at + len(source))
             rows[target, source] = 1.0
             source, at = target, at + len(source)
-    return rows[:, : theta.n_lifted].copy(), rows[:, theta.n_lifted :].copy()
+    found: dict[str, Any] = {"A": rows[:, : theta.n_lifted].copy(), "B": rows[:, features].copy(), "N": None}
+    if theta.is_bilinear:
+        products = rows[:, theta.n_lifted + theta.n_features :].reshape(theta.n_lifted, theta.n_inputs, -1)
+        found["N"] = np.zeros((theta.n_inputs, theta.n_lifted, theta.n_lifted))
+        found["N"][:, :, theta.products] = products.transpose(1, 0, 2)
+    return found
 
 
 def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | None) -> tuple[Array, Array]:

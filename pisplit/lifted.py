@@ -11,12 +11,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit import h5
 from pisplit.checks import finite_array, positive
 from pisplit.mapping import Mapped
-from pisplit.structured import Transition
+from pisplit.structured import BilinearTerm, Transition
 
 Array = NDArray[np.float64]
 
@@ -42,9 +43,10 @@ class Rollout:
 
 @dataclass(frozen=True, eq=False)
 class LiftedModel:
-    """z+ = A z + B phi(u) + c,  y = C z + d, in physical units.
+    """z+ = A z + B phi(u) + sum_i u_i N_i z + c,  y = C z + d, in physical units.
 
-    A (M, M), B (M, P), c (M,), C (n, M), d (n,), dt [s].
+    A (M, M), B (M, P), c (M,), C (n, M), d (n,), dt [s]; N (m, M, M), or None for a model linear in z: nothing is
+    stored or computed then.
     ``lift_function``: (x_history (n, D+1), u_history (m, D)) -> z (M,), columns are times, oldest first; x_history
     holds x_{k-D}..x_k and u_history u_{k-D}..u_{k-1} with D = ``n_delays``.
     ``input_function``: u (m,) -> phi (P,), the identity if the dictionary is linear in u.
@@ -75,6 +77,7 @@ class LiftedModel:
     state_range: Array
     outputs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    N: Array | None = None
 
     def __post_init__(self) -> None:
         n, m = len(self.state_names), len(self.input_names)
@@ -92,6 +95,8 @@ class LiftedModel:
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, finite_array(getattr(self, name), name, shape))
+        if self.N is not None:
+            object.__setattr__(self, "N", finite_array(self.N, "N", (m, columns, columns)))
         positive(self.dt, "dt", "s")
         history = (n, self.n_delays + 1), (m, self.n_delays)
         _check_signature(self.lift_function, "lift_function", history, columns)
@@ -124,10 +129,15 @@ class LiftedModel:
         """Number of input features P."""
         return len(self.feature_names)
 
+    @property
+    def is_bilinear(self) -> bool:
+        """True if products of inputs and lifted states act, N is not None."""
+        return self.N is not None
+
     @cached_property
     def linear_in_u(self) -> bool:
-        """True if phi(u) = u."""
-        if self.n_features != self.n_inputs:
+        """True if phi(u) = u and the model is not bilinear."""
+        if self.is_bilinear or self.n_features != self.n_inputs:
             return False
         rng = np.random.default_rng(0)
         probe = rng.standard_normal((8, self.n_inputs)) * np.logspace(-3, 3, 8)[:, None]
@@ -160,8 +170,41 @@ class LiftedModel:
 
     def step(self, z: ArrayLike, u: ArrayLike) -> Array:
         """One step z (M,) -> z+ (M,) under the input u (m,)."""
-        features = self.features(np.asarray(u, dtype=np.float64)[None, :])[0]
-        return self.A @ np.asarray(z, dtype=np.float64) + self.B @ features + self.c
+        state, inputs = np.asarray(z, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        following = self.A @ state + self.B @ self.features(inputs[None, :])[0] + self.c
+        if self.bilinear_term is not None:
+            following[self.bilinear_term.rows] += self.bilinear_term(state, inputs)
+        return np.asarray(following)
+
+    def transition(self, u: ArrayLike) -> Array:
+        """A + sum_i u_i N_i (M, M) under the input u (m,)."""
+        inputs = finite_array(u, "u", (self.n_inputs,))
+        return self.A.copy() if self.N is None else self.A + np.tensordot(inputs, self.N, axes=1)
+
+    def fixed_point(self, u: ArrayLike) -> Array:
+        """Lifted state z (M,) with z+ = z under the constant input u (m,); ``read(z)`` are the states.
+
+        The column "1" has its value 1. Raises ValueError where there is no fixed point, or a whole line of them.
+        """
+        inputs = finite_array(u, "u", (self.n_inputs,))
+        forcing = self.B @ self.features(inputs[None, :])[0] + self.c
+        matrix = np.eye(self.n_lifted) - self.transition(inputs)
+        z = np.zeros(self.n_lifted)
+        free = np.ones(self.n_lifted, dtype=bool)
+        if "1" in self.column_names and not matrix[self.column_names.index("1")].any():
+            one = self.column_names.index("1")
+            z[one], free[one] = 1.0, False
+        block, target = matrix[np.ix_(free, free)], (forcing - matrix @ z)[free]
+        # Balanced by a similarity, the rank does not depend on the units of the columns.
+        block, (units, _) = scipy.linalg.matrix_balance(block, permute=False, separate=True)
+        found, _, rank, _ = np.linalg.lstsq(block, target / units, rcond=1e-13)
+        if rank < len(block):
+            raise ValueError(
+                f"no single fixed point under u = {inputs.tolist()}: I - A has rank {rank} of {len(block)}; "
+                "the model holds an integrator, or a constant column that is not named '1'"
+            )
+        z[free] = units * found
+        return z
 
     def read(self, z: ArrayLike) -> Array:
         """States y (..., n) of lifted states z (..., M)."""
@@ -187,6 +230,8 @@ class LiftedModel:
         with h5.writing(path, KIND) as file:
             for name in _ARRAYS:
                 file[name] = getattr(self, name)
+            if self.N is not None:
+                file["N"] = self.N
             for name in _FUNCTIONS:
                 h5.write_text(file, name, getattr(self, name).serialize())
             for name in _NAMES:
@@ -203,6 +248,7 @@ class LiftedModel:
             parts: dict[str, Any] = {name: np.asarray(file[name][()]) for name in _ARRAYS}
             parts |= {name: ca.Function.deserialize(h5.read_text(file, name)) for name in _FUNCTIONS}
             parts |= {name: h5.read_strings(file, name) for name in _NAMES}
+            parts["N"] = np.asarray(file["N"][()]) if "N" in file else None
             return cls(
                 **parts,
                 dt=float(file.attrs["dt"]),
@@ -217,6 +263,11 @@ class LiftedModel:
     @cached_property
     def _transition(self) -> Transition:
         return Transition(self.A)
+
+    @cached_property
+    def bilinear_term(self) -> BilinearTerm | None:
+        """sum_i u_i N_i z without its zero rows and columns, or None."""
+        return None if self.N is None else BilinearTerm(self.N)
 
     @cached_property
     def _lift(self) -> Mapped:
@@ -239,7 +290,9 @@ class LiftedModel:
         z[0] = start
         z[1:] = (features @ self.B.T + self.c).transpose(1, 0, 2)
         with np.errstate(over="ignore", invalid="ignore"):
-            if self._transition.structured or episodes == 1:
+            if self.bilinear_term is not None:
+                _propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
+            elif self._transition.structured or episodes == 1:
                 _propagate(self._transition, z)
             else:
                 _propagate_rows(np.ascontiguousarray(self.A.T), z)
@@ -268,6 +321,13 @@ def _propagate(transition: Transition, z: Array) -> None:
         current = row[0] if single else row.T
         current += dot(previous)
         previous = current
+
+
+def _propagate_bilinear(transition: Transition, term: BilinearTerm, z: Array, inputs: Array) -> None:
+    """z_{k+1} += A z_k + sum_i u_i N_i z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
+    for k in range(len(z) - 1):
+        z[k + 1] += transition(z[k].T).T
+        z[k + 1][:, term.rows] += term(z[k], inputs[:, k])
 
 
 def _propagate_rows(transition_transposed: Array, z: Array) -> None:

@@ -59,19 +59,25 @@ class PIEDMDc(Estimator):
         generator_alpha: float = 0.0,
         options: Mapping[str, Any] | None = None,
     ) -> None:
+        one_of(penalty, "penalty", PENALTIES)
+        one_of(toward, "toward", ("zero", "identity"))
+        one_of(split, "split", tuple(SPLITS))
+        one_of(half_step, "half_step", HALF_STEPS)
+        non_negative(cv_tolerance, "cv_tolerance")
+        non_negative(generator_alpha, "generator_alpha")
         self.theta = theta
         self.alpha = alpha
-        self.penalty = one_of(penalty, "penalty", PENALTIES)
-        self.toward = one_of(toward, "toward", ("zero", "identity"))
-        self.split = one_of(split, "split", tuple(SPLITS))
-        self.half_step = one_of(half_step, "half_step", HALF_STEPS)
+        self.penalty = penalty
+        self.toward = toward
+        self.split = split
+        self.half_step = half_step
         self.rows = rows
         self.scale = scale
         self.relative = relative
         self.alphas = alphas
         self.cv_states = cv_states
-        self.cv_tolerance = non_negative(cv_tolerance, "cv_tolerance")
-        self.generator_alpha = non_negative(generator_alpha, "generator_alpha")
+        self.cv_tolerance = cv_tolerance
+        self.generator_alpha = generator_alpha
         self.options = options
 
     def fit(self, d1: Episodes, d2: PhaseSamples, pairs: Pairs | None = None) -> PIEDMDc:

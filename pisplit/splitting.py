@@ -70,7 +70,7 @@ class Splitting(Protocol):
 
 def pair_moments(theta: Dictionary, pairs: Pairs) -> Moments:
     """Moments of [Theta(k) | learned columns of psi(k+1)] (M + S columns), accumulated in blocks."""
-    return accumulate(np.hstack([theta.evaluate(b), theta.next(b)[:, theta.learned_columns]]) for b in pairs.blocks())
+    return accumulate(np.hstack([theta.evaluate(b), theta.next_learned(b)]) for b in pairs.blocks())
 
 
 class Direct:

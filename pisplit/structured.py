@@ -1,4 +1,4 @@
-"""Products with a transition matrix whose delay rows only shift entries: a step costs the dense rows alone."""
+"""Products with matrices of a lifted model whose delay rows only shift entries: a step costs the dense rows alone."""
 
 from __future__ import annotations
 
@@ -47,3 +47,31 @@ class Transition:
         if len(self._other_rows):
             product[self._other_rows] = self._other @ z
         return product
+
+
+class BilinearTerm:
+    """sum_i u_i N_i z for N (m, M, M); rows and columns that are zero for every input cost nothing.
+
+    ``rows`` (R,) are the entries of z+ that the term changes.
+    """
+
+    def __init__(self, N: Array) -> None:
+        self.inputs = len(N)
+        self.rows = np.flatnonzero(N.any(axis=(0, 2)))
+        self.columns = np.flatnonzero(N.any(axis=(0, 1)))
+        size = self.inputs * len(self.rows)
+        self._stack = np.ascontiguousarray(N[:, self.rows][:, :, self.columns].reshape(size, len(self.columns)))
+
+    def __call__(self, z: Array, u: Array) -> Array:
+        """The term (..., R) on ``rows`` for lifted states z (..., M) under inputs u (..., m)."""
+        products = (z[..., self.columns] @ self._stack.T).reshape(*z.shape[:-1], self.inputs, len(self.rows))
+        return np.asarray((u[..., None, :] @ products)[..., 0, :])
+
+    def matrix(self, u: Array) -> Array:
+        """sum_i u_i N_i (R, columns) on ``rows`` and ``columns`` for one input u (m,)."""
+        blocks = self._stack.reshape(self.inputs, len(self.rows), len(self.columns))
+        return np.asarray(np.tensordot(u, blocks, axes=1))
+
+    def slopes(self, z: Array) -> Array:
+        """Derivative (R, m) of the term by u at one lifted state z (M,)."""
+        return np.asarray((self._stack @ z[self.columns]).reshape(self.inputs, len(self.rows)).T)
