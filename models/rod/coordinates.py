@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array
+from pisplit.models.rod.base import Base
 from pisplit.models.rod.fields import N_FIELDS, station_points
 from pisplit.models.rod.strains import COMPONENTS
 
@@ -76,12 +77,14 @@ class RodCoordinates:
 def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinates:
     """Coordinates of a scene from its fields at stations.
 
-    Raises ValueError for free shear or stretch, and for fewer stations than nodes.
+    Raises ValueError for free shear or stretch, a base that turns, and for fewer stations than nodes.
     """
     if any(c >= 3 for c in scene.rod.strain_set.free):
         raise ValueError(
             f"rod coordinates need a rod without free shear and stretch; strains are {scene.rod.strains!r}"
         )
+    if any(isinstance(t, Base) and (t.inputs or any(t.spin)) for t in scene.terms):
+        raise ValueError("rod coordinates need a base that does not turn; this scene has a Base with spin or inputs")
     points = station_points(stations, scene.rod.length)
     if len(points) < scene.nodes:
         raise ValueError(f"{len(points)} stations cannot tell {scene.nodes} nodes apart; give at least {scene.nodes}")
