@@ -48,9 +48,14 @@ class DisturbanceEstimator:
         self._predicted = None
         return self._w
 
-    def predict(self, z: Array, features: Array) -> Array:
-        """The next lifted state (M,) under the applied input features (P,); ``update`` compares with it."""
+    def predict(self, z: Array, features: Array, bilinear: Array | None = None) -> Array:
+        """The next lifted state (M,) under the applied input features (P,); ``update`` compares with it.
+
+        ``bilinear`` (M,): what products of inputs and lifted states add, in a bilinear model.
+        """
         z_next = self._transition(z) + self._B @ features
+        if bilinear is not None:
+            z_next += bilinear
         z_next += self._c
         z_next += self._w
         self._predicted = z_next

@@ -19,13 +19,14 @@ from .history import History
 from .limits import input_limits
 from .problem import TrackingProblem, Weights
 from .qp import QPSettings
+from .relinearise import AlongPlan
 from .tracking import Move, check_dt, checked_window, start_input, tracked_states
 
 GROWTH_LIMIT = 100.0
 
 
 class MPC:
-    """Model predictive control of z+ = A z + B phi(u) + c + w, y = C z + d over ``horizon`` steps.
+    """Model predictive control of z+ = A z + B phi(u) (+ sum_i u_i N_i z) + c + w, y = C z + d over ``horizon`` steps.
 
     minimise  sum_j  output_weight |y_j - r_j|^2 [mm^2]  +  rate_weight |u_j - u_{j-1}|^2 [a^2]
                      +  input_weight |u_j - u_offset|^2 [a^2]  +  output_slack_weight s_j^2 [mm^2]
@@ -42,8 +43,8 @@ class MPC:
     The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by
     regression, the residual of the read-out at the measured state is added to all predicted outputs.
 
-    A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move. Raises ValueError
-    on arguments that do not fit the model.
+    A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear model
+    is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model.
 
     Source: Rawlings, Mayne and Diehl, Model Predictive Control (2017), chapter 1; Korda and Mezic, Automatica 93
     (2018).
@@ -98,8 +99,14 @@ class MPC:
             raise ValueError(f"y_min = {low} is not below y_max = {high}; give every output a range")
         limits = self._limits
         self._T = limits.basis * limits.amplitude.mean()
+        self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.is_bilinear else None
         centre = limits.offset + limits.basis @ limits.coordinates(0.5 * (limits.u_min + limits.u_max))
-        S, _ = self._linearise(np.tile(centre, (H, 1)), np.zeros((H, self._T.shape[1])))
+        if self._along is None:
+            S, _ = self._linearise(np.tile(centre, (H, 1)), np.zeros((H, self._T.shape[1])))
+        else:
+            D = model.n_delays
+            z = model.lift(np.zeros((D + 1, model.n_states)), np.tile(centre, (D, 1)))
+            S, _ = self._along(z, np.zeros(model.n_lifted), np.tile(centre, (H, 1)))
         self._problem = TrackingProblem(H, limits, weights, low, high, S, qp or QPSettings())
         if self._linear:
             self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)
@@ -146,23 +153,16 @@ class MPC:
         with np.errstate(over="ignore", invalid="ignore"):  # a lift that overflows ends as a status, not as a warning
             z = self.model.lift(history.states, history.inputs)
             w = self._estimator.update(z)
-            y_free = self._condensed.free @ z + self._condensed.disturbance @ w + self._condensed.constant
             v_previous = limits.coordinates(history.u_previous) / problem.scale
+            plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
+            S, y_free = self._response_along(z, w, problem.moves(plan))
             # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
             y_free += np.tile(x[list(self.tracked)] - self._read @ z - self._read_offset, self.horizon)
-            plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
-            S = None
-            if self._linear:
-                y_free += self._offset_response
-            else:
-                v = problem.moves(plan)
-                S, y_features = self._linearise(limits.offset + v @ self._T.T, v)
-                y_free += y_features
             result = problem.solve(y_free, r, v_previous, plan, S)
             self._plan = plan if result.x is None else result.x
             wanted = limits.offset + self._T @ problem.moves(self._plan)[0]
             u = limits.project(wanted, history.u_previous)
-            self._estimator.predict(z, u if self._linear else self.model.features(u[None, :])[0])
+            self._estimator.predict(z, u if self._linear else self.model.features(u[None, :])[0], self._products(z, u))
             predicted = problem.outputs(y_free, self._plan)
         history.apply(u)
         return Move(
@@ -178,6 +178,27 @@ class MPC:
     def _start(self, u0: Array) -> None:
         self._history = History(self.model.n_delays, self.model.n_states, u0)
         self._plan = None
+
+    def _response_along(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
+        """S (H p, H r), or None where it never changes, and y_free (H p,) for a plan v (H, r): y = y_free + S v."""
+        u = self._limits.offset + v @ self._T.T
+        if self._along is not None:
+            S, y = self._along(z, w, u)
+            return S, y - S @ v.ravel()
+        y_free = self._condensed.free @ z + self._condensed.disturbance @ w + self._condensed.constant
+        if self._linear:
+            return None, y_free + self._offset_response
+        S, y_features = self._linearise(u, v)
+        return S, y_free + y_features
+
+    def _products(self, z: Array, u: Array) -> Array | None:
+        """sum_i u_i N_i z (M,) of a bilinear model."""
+        term = self.model.bilinear_term
+        if term is None:
+            return None
+        products = np.zeros(self.model.n_lifted)
+        products[term.rows] = term(z, u)
+        return products
 
     def _linearise(self, u: Array, v: Array) -> tuple[Array, Array]:
         """S (H p, H r) and the constant part (H p,) of the outputs, for features linearised at u (H, m) = u(v)."""

@@ -12,6 +12,8 @@ import pytest
 
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
+from pisplit.controllers import MPC, QPSettings
+from pisplit.controllers.relinearise import AlongPlan
 from pisplit.structured import BilinearTerm
 
 RNG = np.random.default_rng(8)
@@ -179,6 +181,46 @@ def test_zero_rows_and_columns_of_the_term_cost_nothing_and_change_nothing() -> 
     assert list(term.rows) == [1, 2] and list(term.columns) == [4, 5]
     np.testing.assert_allclose(term.slopes(z[0]) @ u[0], expected[0, [1, 2]], atol=1e-14)
     np.testing.assert_allclose(term.matrix(u[0]) @ z[0, 4:], expected[0, [1, 2]], atol=1e-14)
+
+
+def test_the_condensed_prediction_is_the_roll_out_and_its_derivative() -> None:
+    theta = dictionary(ob.Delays(states=1, inputs=1), ob.Slack(width=0.3))
+    model = BilinearEDMDc(theta, alpha=1e-6).fit(data()).lifted
+    T, w = RNG.normal(size=(2, 2)), 1e-3 * RNG.normal(size=model.n_lifted)
+    along = AlongPlan(model, model.C[:2], model.d[:2], T)
+    start, v = data().start(0, 1), RNG.uniform(-0.5, 0.5, (6, 2))
+    z = model.lift(start.x_history, start.u_history)
+    S, y = along(z, w, v @ T.T)
+    moved = replace(model, c=model.c + w)
+    np.testing.assert_allclose(y.reshape(6, 2), moved.rollout(z, v @ T.T).x[1:, :2], atol=1e-12)
+    for i in range(v.size):
+        step = 1e-6 * np.eye(v.size)[i].reshape(v.shape)
+        difference = along(z, w, (v + step) @ T.T)[1] - along(z, w, (v - step) @ T.T)[1]
+        np.testing.assert_allclose(S[:, i], difference / 2e-6, atol=1e-7)
+
+
+def controller(model: LiftedModel) -> MPC:
+    return MPC(model, 8, -1.0, 1.0, 0.5, track="tip", rate_weight=1e-3, qp=QPSettings(eps=1e-8, max_iterations=20000))
+
+
+def test_a_controller_of_a_bilinear_model_without_products_is_the_linear_one() -> None:
+    linear = LinearEDMDc(dictionary(), alpha=1e-3).fit(data()).lifted
+    bilinear = replace(linear, N=np.zeros((2, linear.n_lifted, linear.n_lifted)))
+    controllers, window = [controller(linear), controller(bilinear)], np.full((8, 2), 0.2)
+    for seed in range(5):
+        x = 0.1 * np.random.default_rng(seed).normal(size=3)
+        one, other = (mpc.step(x, window).u for mpc in controllers)
+        np.testing.assert_allclose(one, other, atol=1e-4)
+
+
+def test_mpc_drives_a_bilinear_system_to_a_reachable_set_point(model: LiftedModel) -> None:
+    target = model.read(model.fixed_point([0.4, -0.3]))[:2]
+    x, mpc = np.zeros(3), controller(model)
+    for _ in range(60):
+        u = mpc.step(x, np.tile(target, (8, 1))).u
+        x = (A + np.tensordot(u, N, axes=1)) @ x + B @ u + SHIFT
+    np.testing.assert_allclose(x[:2], target, atol=1e-5)
+    np.testing.assert_allclose(mpc.disturbance, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
