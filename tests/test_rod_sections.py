@@ -276,6 +276,13 @@ def test_strain_sets_are_extensible() -> None:
     assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(0.05 * 0.3 / body.stiffness[2], rel=1e-9)
 
 
+def test_extensible_rods_stretch_without_shear() -> None:
+    body = rod.Rod(0.3, rod.Circle(0.01), RUBBER, "extensible")
+    assert rod.Scene(body, rod.TipWrench(force=(0.0, 0.0, 10.0))).statics().solve().tip[2] == pytest.approx(
+        0.3 * (1.0 + 10.0 / body.stiffness[5]), rel=1e-9
+    )
+
+
 @pytest.mark.parametrize(
     ("build", "part"),
     [

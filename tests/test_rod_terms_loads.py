@@ -303,6 +303,36 @@ def test_chambers_in_balance_only_stretch() -> None:
     assert scene.statics().solve([2e5] * 3).tip == pytest.approx([0.0, 0.0, exact], abs=1e-12)
 
 
+def test_chambers_that_end_bend_the_rod_up_to_there() -> None:
+    backbone = body(elements=(0.25, 0.15))
+    strains = rod.Scene(backbone, rod.Chambers(4e-6, [[3e-3, 0.0]], end=0.25), nodes=3).statics().solve([2e5]).strains
+    k = -2e5 * 4e-6 * 3e-3 / backbone.stiffness[1]
+    assert strains.reshape(-1, 3)[:, 1] == pytest.approx(np.r_[np.full(3, k), np.zeros(3)], abs=1e-9)
+    with pytest.raises(ValueError, match="elements"):
+        rod.Scene(backbone, rod.Chambers(4e-6, [[3e-3, 0.0]], end=0.2))
+
+
+# Damping in proportion to stiffness ----------------------------------------------------------------------------------
+
+
+def test_retardation_is_kelvin_voigt_of_the_stiffness() -> None:
+    k = body("cosserat").stiffness
+    explicit = rod.KelvinVoigt(1e-3 * k[0], 1e-3 * k[2], 1e-3 * k[3], 1e-3 * k[5])
+    same_motion(rod.Scene(body("cosserat"), rod.Retardation(1e-3)), rod.Scene(body("cosserat"), explicit))
+    assert rod.Scene(body("cosserat"), rod.Retardation(1e-3)).damped
+
+
+def test_every_mode_of_a_retarded_tapered_rod_decays_by_half_of_time_omega_squared() -> None:
+    """q'' + T w^2 q' + w^2 q = 0 for each mode, whatever the section."""
+    taper = rod.Rod(LENGTH, rod.Tapered(rod.Circle(2e-3), rod.Circle(1e-3)), STEEL, "planar")
+    undamped = rod.Scene(taper, nodes=6)
+    damped = undamped + rod.Retardation(1e-5)
+    rates, decays = (s.linearise(np.zeros(s.n_states)).eigenvalues for s in (undamped, damped))
+    omega, slow = np.sort(rates.imag[rates.imag > 0])[:3], decays[decays.imag > 0]
+    slow = slow[np.argsort(slow.imag)][:3]
+    assert -slow.real == pytest.approx(0.5e-5 * omega**2, rel=1e-4)
+
+
 # What is not there ---------------------------------------------------------------------------------------------------
 
 EXTRA: tuple[Any, ...] = (
@@ -313,6 +343,7 @@ EXTRA: tuple[Any, ...] = (
     rod.Spring((0.1, 0.0, 0.3), 5.0),
     rod.PointMass(0.2, 0.01),
     rod.Chambers(1e-6, [[0.01, 0.0]]),
+    rod.Retardation(1e-3),
     rod.Base(position=(0.1, 0.0, 0.0), spin=(0.0, 0.0, 1.0)),
 )
 

@@ -10,7 +10,7 @@ from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
 from pisplit.models.rod.buoyancy import Buoyancy
 from pisplit.models.rod.chambers import Chambers
-from pisplit.models.rod.damping import KelvinVoigt
+from pisplit.models.rod.damping import KelvinVoigt, Retardation
 from pisplit.models.rod.distributed import DistributedWrench
 from pisplit.models.rod.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
 from pisplit.models.rod.gravity import Gravity
@@ -43,6 +43,7 @@ __all__ = [
     "PointMass",
     "PointWrench",
     "QuadraticDrag",
+    "Retardation",
     "Rod",
     "Scene",
     "Spring",

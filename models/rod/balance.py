@@ -44,9 +44,13 @@ class Balance:
     @cached_property
     def motion(self) -> Motion:
         """Kinematics."""
+        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations, self.base)
+
+    @property
+    def base(self) -> BaseState:
+        """Motion of the clamp; at rest in statics."""
         states = [t.state(self.inputs, moving=self.rates.nnz() > 0) for t in self.terms if isinstance(t, Base)]
-        base = states[0] if states else BaseState.fixed()
-        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations, base)
+        return states[0] if states else BaseState.fixed()
 
     @cached_property
     def loads(self) -> Loads:
@@ -82,8 +86,7 @@ class Balance:
         density = columnwise_cross(self.motion.tangent, self._force) + self.loads.moment
         if self.inertia:
             density = density - self._rotary_inertia()
-        moment = ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(density)
-        return moment + self.loads.point_moment
+        return ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(density)
 
     def _rotary_inertia(self) -> ca.SX:
         """Rate of angular momentum per length in world axes: R (rho J alpha + omega x rho J omega)."""

@@ -51,9 +51,9 @@ class Rod:
         section: cross-section, e.g. ``Circle(radius)``; where it varies, ``Tapered(start, end)``, a function
             s -> section of the arclength in m, or a tuple with one section an element.
         material: ``Elastic(young, shear, density)`` or ``Stiffness(...)``, or a function s -> material.
-        strains: ``"cosserat"`` (bending, torsion, shear, stretch), ``"kirchhoff"`` (bending, torsion), ``"planar"``
-            (bending about body axis 2, motion in the x-z plane), ``"planar-cosserat"`` (the same with shear and stretch
-            in that plane), or a ``StrainSet``.
+        strains: ``"cosserat"`` (bending, torsion, shear, stretch), ``"extensible"`` (without shear),
+            ``"kirchhoff"`` (bending, torsion), ``"planar"`` (bending about body axis 2, motion in the x-z plane),
+            ``"planar-cosserat"`` (the same with shear and stretch in that plane), or a ``StrainSet``.
         rest_curvature: (w1, w2, w3) of the unloaded rod in 1/m in body axes, or a function s -> (3,).
         elements: lengths in m of elements in a row, which add up to L. Strains are smooth within an element and may
             jump at its border: put one where the section, its slope or a load jumps. Empty: one element.

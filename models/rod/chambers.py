@@ -14,7 +14,7 @@ from pisplit.models.rod.body import Rod
 from pisplit.models.rod.gauss import Rule
 from pisplit.models.rod.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.loads import Input, Loads
-from pisplit.models.rod.routing import Route, checked_routes, on_circle, sample
+from pisplit.models.rod.routing import Route, checked_routes, nodes_before, on_circle, sample
 
 
 @dataclass(frozen=True)
@@ -30,20 +30,29 @@ class Chambers:
         area: A in m^2.
         offsets: one entry a chamber: centre (x, y) in m, or a function of arclength in m that returns one.
         name: name of the input with one entry a chamber.
+        end: arclength in m of their far end, the tip when not given; an element must end there.
     """
 
     area: float
     offsets: Sequence[Route]
     name: str = "pressures"
+    end: float | None = None
 
     def __post_init__(self) -> None:
         positive(self.area, "Chambers area", "m^2")
         object.__setattr__(self, "offsets", checked_routes(self.offsets, "Chambers"))
 
     @classmethod
-    def parallel(cls, area: float, offset: float, angles_deg: Sequence[float], name: str = "pressures") -> Chambers:
+    def parallel(
+        cls,
+        area: float,
+        offset: float,
+        angles_deg: Sequence[float],
+        name: str = "pressures",
+        end: float | None = None,
+    ) -> Chambers:
         """Chambers on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
-        return cls(area, [tuple(p) for p in on_circle(offset, angles_deg, "Chambers")], name)
+        return cls(area, [tuple(p) for p in on_circle(offset, angles_deg, "Chambers")], name, end)
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -51,14 +60,15 @@ class Chambers:
         return (Input(self.name, len(self.offsets)),)
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError for chambers that would bend a planar rod out of its plane."""
+        """Raise ValueError for chambers that end within an element or would bend a planar rod out of its plane."""
+        nodes_before(self.end, rule, "Chambers")
         if rod.strain_set.planar and any(np.any(sample(o, rule.nodes, rod.length)[0][1]) for o in self.offsets):
             raise ValueError("a planar rod takes chambers in its plane only; offsets must have y = 0")
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the active stress of every chamber."""
-        pressure, k = loads.inputs[self.name], motion.rule.n_nodes
-        axis = ca.repmat(ca.sparsify(ca.SX(ca.DM([0.0, 0.0, 1.0]))), 1, k)
+        pressure, n = loads.inputs[self.name], nodes_before(self.end, motion.rule, "Chambers")
+        axis = ca.sparsify(ca.SX(ca.DM(np.outer([0.0, 0.0, 1.0], np.arange(motion.rule.n_nodes) < n))))
         for i, route in enumerate(self.offsets):
             r = ca.SX(ca.DM(sample(route, motion.rule.nodes, motion.rod.length)[0]))
             push = self.area * pressure[i] * axis

@@ -49,5 +49,42 @@ class KelvinVoigt:
         return f"Kelvin-Voigt damping, bending {self.bending:g}, torsion {self.torsion:g} N m^2 s"
 
 
+@dataclass(frozen=True)
+class Retardation:
+    """Kelvin-Voigt material damping in proportion to the stiffness: stress ``time * K * strain rate`` in every strain.
+
+    The coefficients follow the section where it varies, and shear and stretch are damped as bending is.
+
+    Args:
+        time: retardation time in s.
+    """
+
+    time: float
+
+    def __post_init__(self) -> None:
+        non_negative(self.time, "Retardation time", "s")
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """None."""
+        return ()
+
+    def coefficient(self, component: int) -> float:
+        """Positive where the strain is damped: everywhere, unless the time is zero."""
+        return self.time
+
+    def apply(self, motion: Motion, loads: Loads) -> None:
+        """Stress time K w_t and time K v_t at every node."""
+        if motion.rates.nnz() == 0 or self.time == 0.0:
+            return
+        damping = ca.DM(self.time * motion.profile.stiffness)
+        loads.stress_w += damping[:3, :] * motion.w_t
+        loads.stress_v += damping[3:, :] * motion.v_t
+
+    def describe(self, rod: Any) -> str:
+        """Time."""
+        return f"Kelvin-Voigt damping, retardation time {self.time:g} s"
+
+
 def _diagonal(damping: KelvinVoigt, first: int) -> ca.SX:
     return ca.diag(ca.SX(ca.DM([damping.coefficient(first + k) for k in range(3)])))

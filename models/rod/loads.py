@@ -49,8 +49,8 @@ class Loads:
         tip_force, tip_moment: world wrench at the tip (3,) in N, N m.
         stress_w, stress_v: body moment (3, K) in N m and force (3, K) in N that a term adds to the elastic stress
             at the nodes (damping, tendons).
-        point_force, point_moment: world internal force (3, K) in N and moment in N m at the nodes that balance wrenches
-            at points of the rod (see ``add_at``); ``point_inertia`` (3, K) the same for inertia forces of added masses.
+        point_force: world internal force at the nodes (3, K) in N that balances forces at points of the rod (see
+            ``add_at``); ``point_inertia`` (3, K) the same for inertia forces of added masses.
         gravity: world acceleration of gravity (3,) in m/s^2.
         moving: whether inertia counts.
         inputs: symbol of each input by name.
@@ -65,7 +65,6 @@ class Loads:
     stress_w: ca.SX
     stress_v: ca.SX
     point_force: ca.SX
-    point_moment: ca.SX
     point_inertia: ca.SX
     gravity: ca.SX
     moving: bool
@@ -76,7 +75,7 @@ class Loads:
     def none(cls, n_nodes: int, inputs: dict[str, ca.SX], moving: bool = True) -> Loads:
         """No loads at all."""
         nodes, point = ca.SX(3, n_nodes), ca.SX(3, 1)
-        return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, nodes, point, moving, inputs)
+        return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, point, moving, inputs)
 
     def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
         """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``."""
@@ -86,7 +85,7 @@ class Loads:
         else:
             shares = ca.DM(shares_below(motion, s))
             self.point_force += force @ shares
-            self.point_moment += moment @ shares
+            self.stress_w -= motion.to_body(moment @ shares)
 
     def add_inertia_at(self, motion: Motion, s: float, force: ca.SX) -> None:
         """Add an inertia force (3,) in N at arclength ``s``."""

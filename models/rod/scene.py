@@ -15,7 +15,7 @@ from pisplit.models.rod.balance import Balance, collect_inputs
 from pisplit.models.rod.base import Base
 from pisplit.models.rod.body import Rod
 from pisplit.models.rod.chambers import Chambers
-from pisplit.models.rod.damping import KelvinVoigt
+from pisplit.models.rod.damping import KelvinVoigt, Retardation
 from pisplit.models.rod.gauss import Rule
 from pisplit.models.rod.loads import Input, Term
 from pisplit.models.rod.tendons import Displacement, Tendons
@@ -111,8 +111,8 @@ class Scene:
     def __str__(self) -> str:
         r = self.rod
         lines = [
-            f"rod      {r.strains}, L = {r.length:g} m, mass {r.mass_per_length * r.length:g} kg, "
-            f"EI = {r.stiffness[0]:g} N m^2, {self.nodes} nodes"
+            f"rod      {r.strain_set.name}, L = {r.length:g} m, mass {r.mass_per_length * r.length:g} kg, "
+            f"EI = {r.stiffness[0]:g} N m^2, {' + '.join(map(str, self.element_nodes))} nodes"
         ]
         lines += [f"term     {t.describe(r)}" for t in self.terms]
         lines += [f"input    {i.name} ({i.size})" for i in self.inputs]
@@ -170,7 +170,7 @@ class Scene:
     @property
     def damped(self) -> bool:
         """Whether the material damps every free strain."""
-        terms = [t for t in self.terms if isinstance(t, KelvinVoigt)]
+        terms = [t for t in self.terms if isinstance(t, KelvinVoigt | Retardation)]
         return all(any(t.coefficient(c) > 0.0 for t in terms) for c in self.rod.strain_set.free)
 
     # Equations -------------------------------------------------------------------------------------------------------

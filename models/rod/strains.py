@@ -98,6 +98,7 @@ def _turn(w_all: ca.SX, rule: Rule, start: float, end: float) -> ca.SX:
 STRAIN_SETS = {
     "cosserat": StrainSet("cosserat", (0, 1, 2, 3, 4, 5)),
     "kirchhoff": StrainSet("kirchhoff", (0, 1, 2)),
+    "extensible": StrainSet("extensible", (0, 1, 2, 5)),
     "planar": StrainSet("planar", (1,)),
     "planar-cosserat": StrainSet("planar-cosserat", (1, 3, 5)),
 }

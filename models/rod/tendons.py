@@ -14,7 +14,7 @@ from pisplit.models.rod.body import Rod
 from pisplit.models.rod.gauss import Rule
 from pisplit.models.rod.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.loads import Input, Loads
-from pisplit.models.rod.routing import Helix, Line, Route, checked_routes, on_circle, sample
+from pisplit.models.rod.routing import Helix, Line, Route, checked_routes, nodes_before, on_circle, sample
 from pisplit.models.rod.texts import OPTION, brief
 
 #: Turning over the length of the rod in rad below which capstan friction sets in smoothly.
@@ -209,14 +209,7 @@ class Tendons:
                 raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
 
     def _n_loaded(self, rule: Rule) -> int:
-        """Number of nodes that the tendons pass."""
-        if self.end is None:
-            return rule.n_nodes
-        if not np.any(np.isclose(self.end, rule.borders[1:], rtol=1e-9, atol=0.0)):
-            raise ValueError(
-                f"Tendons end = {self.end:g} m; expected the end of an element; give the Rod elements= that end there"
-            )
-        return int(np.count_nonzero(rule.nodes < self.end))
+        return nodes_before(self.end, rule, "Tendons")
 
     def describe(self, rod: Any) -> str:
         """Number, offset and drive."""
