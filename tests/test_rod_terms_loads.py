@@ -1,5 +1,6 @@
 """Loads and masses on the rod: closed forms, shooting, and equality with what they amount to."""
 
+import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -393,9 +394,25 @@ def test_what_does_not_fit_is_refused_in_one_line(build: Any, part: str) -> None
 # A user's own term ---------------------------------------------------------------------------------------------------
 
 
-def test_the_term_of_the_documentation_is_the_wrench_it_computes() -> None:
+def documented(part: str) -> str:
+    """The block of the documentation that contains a text."""
     text = (Path(__file__).parents[1] / "docs" / "rod.md").read_text()
-    code = next(block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "class TipMagnet" in block)
+    return next(block for block in re.findall(r"```python\n(.*?)```", text, re.S) if part in block)
+
+
+def test_the_varying_rod_of_the_documentation_bends_swings_and_is_copied() -> None:
+    names: dict[str, Any] = {"rod": rod}
+    exec(documented("Tapered"), names)
+    finger, bent = names["finger"], names["bent"]
+    assert bent.success and bent.tensions.shape == (3,) and np.linalg.norm(bent.tip[:2]) > 0.05
+    assert pickle.loads(pickle.dumps(finger)) == finger
+    commands = np.linspace(bent.state[-3:], [0.0, 0.0, 0.0], 6)
+    trajectory = finger.simulator(dt=0.03).run(commands, x0=bent.state)
+    assert trajectory.success and np.all(np.isfinite(trajectory.fields(4)))
+
+
+def test_the_term_of_the_documentation_is_the_wrench_it_computes() -> None:
+    code = documented("class TipMagnet")
     assert len(code.strip().splitlines()) < 30
     arm = rod.Scene(body(), GRAVITY)
     names: dict[str, Any] = {"arm": arm, "__name__": "docs"}
