@@ -35,6 +35,7 @@ class PhaseSamples:
 
     x (N, n) states, u (N, m) inputs, xdot (N, n) = f(x, u) [state units / s]; optionally x_half (N, n), the flow of f
     over dt/2 from x, with dt [s]. Names are optional and are checked against those of the trajectories when given.
+    ``weights`` (N,) >= 0 weigh the samples in every mean, for instance those of a quadrature (default: all alike).
 
     Raises ValueError for shapes that do not fit each other and for entries that are not finite.
     """
@@ -47,6 +48,7 @@ class PhaseSamples:
     state_names: Sequence[str] | None = None
     input_names: Sequence[str] | None = None
     provenance: Mapping[str, Any] | None = None
+    weights: Array | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -60,6 +62,10 @@ class PhaseSamples:
             put(self, "x_half", finite_array(self.x_half, "x_half", (size, n)))
             if self.dt is None:
                 raise ValueError("x_half is given without dt; give the time step whose half it is the flow of")
+        if self.weights is not None:
+            put(self, "weights", finite_array(self.weights, "weights", (size,)))
+            if (self.weights < 0.0).any() or not self.weights.any():
+                raise ValueError("weights are negative or all zero; give non-negative weights, one of them positive")
         if self.dt is not None:
             put(self, "dt", positive(self.dt, "dt", "s"))
         for name, width in (("state_names", n), ("input_names", self.u.shape[1])):
@@ -85,7 +91,13 @@ class PhaseSamples:
 
     @classmethod
     def from_system(
-        cls, system: KnownSystem, x: ArrayLike, u: ArrayLike, dt: float | None = None, flow: bool = False
+        cls,
+        system: KnownSystem,
+        x: ArrayLike,
+        u: ArrayLike,
+        dt: float | None = None,
+        flow: bool = False,
+        weights: Array | None = None,
     ) -> PhaseSamples:
         """Evaluate the known f of ``system`` at x (N, n) and u (N, m); with ``flow`` also its flow over dt/2."""
         states = finite_array(x, "x", (None, system.known.numel_in(0)))
@@ -101,6 +113,7 @@ class PhaseSamples:
             dt=dt,
             state_names=getattr(system, "state_names", None),
             input_names=getattr(system, "input_names", None),
+            weights=weights,
         )
 
     def take(self, which: ArrayLike) -> PhaseSamples:
@@ -108,17 +121,19 @@ class PhaseSamples:
         chosen = np.arange(len(self))[np.asarray(which)]
         half = None if self.x_half is None else self.x_half[chosen]
         arrays = (self.x[chosen], self.u[chosen], self.xdot[chosen], half)
-        return PhaseSamples(*arrays, self.dt, self.state_names, self.input_names, self.provenance)
+        weights = None if self.weights is None else self.weights[chosen]
+        return PhaseSamples(*arrays, self.dt, self.state_names, self.input_names, self.provenance, weights)
 
     def blocks(self, size: int = 4096) -> Iterator[PhaseSamples]:
-        """The samples in order, at most ``size`` at a time."""
-        for first in range(0, len(self), size):
-            yield self.take(np.arange(first, min(first + size, len(self))))
+        """The samples in order, at most ``size`` at a time; those without weight are left out."""
+        used = np.arange(len(self)) if self.weights is None else np.flatnonzero(self.weights)
+        for first in range(0, len(used), size):
+            yield self.take(used[first : first + size])
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the samples to an HDF5 file, whole or not at all."""
         with h5.writing(path, KIND) as file:
-            for name in ("x", "u", "xdot", "x_half"):
+            for name in ("x", "u", "xdot", "x_half", "weights"):
                 if getattr(self, name) is not None:
                     file[name] = getattr(self, name)
             if self.dt is not None:
@@ -141,4 +156,5 @@ class PhaseSamples:
                 state_names=h5.read_strings(file, "state_names") if "state_names" in file else None,
                 input_names=h5.read_strings(file, "input_names") if "input_names" in file else None,
                 provenance=h5.read_json(file, "provenance"),
+                weights=file["weights"][()] if "weights" in file else None,
             )

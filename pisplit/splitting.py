@@ -215,5 +215,14 @@ def free_block(theta: Dictionary, rows: str | Sequence[str] | Sequence[bool] | N
 
 
 def _facts(half: HalfStep) -> dict[str, Any]:
-    facts = {"half_step": half.kind, "reason": half.reason, "growth": half.growth, "condition": half.condition}
-    return facts if half.max_real is None else {**facts, "max_real": half.max_real}
+    facts: dict[str, Any] = {
+        "half_step": half.kind,
+        "reason": half.reason,
+        "growth": half.growth,
+        "condition": half.condition,
+        "errors": dict(half.errors),
+        "drift": half.drift,
+    }
+    if half.spectrum is not None:
+        facts |= {"max_real": half.max_real, "spurious": list(half.spectrum.report()[:5])}
+    return facts
