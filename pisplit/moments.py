@@ -7,10 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 Array = NDArray[np.float64]
 
 CONSTANT = 1e-13
+#: Columns that one block reflector of the QR factorisation eliminates: fastest of 16 to 128 at 723 columns.
+REFLECTOR = 32
 
 
 @dataclass(frozen=True)
@@ -42,19 +45,44 @@ class Moments:
 
 
 def accumulate(blocks: Iterable[Array]) -> Moments:
-    """Moments of rows that arrive in blocks (N_i, k)."""
+    """Moments of rows that arrive in blocks (N_i, k).
+
+    Every block is rotated into the triangle of those before it, so that memory holds one block and one triangle.
+    Raises ValueError if there are no rows and for entries that are not finite.
+    """
     triangle: Array | None = None
     n_samples = 0
     for block in blocks:
         n_samples += len(block)
-        rows = np.hstack([np.ones((len(block), 1)), block])
-        stacked = rows if triangle is None else np.vstack([triangle, rows])
-        triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+        rows = np.ones((len(block), block.shape[1] + 1), order="F")
+        rows[:, 1:] = block
+        triangle = _rotated(np.zeros((rows.shape[1],) * 2, order="F") if triangle is None else triangle, rows)
     if triangle is None or n_samples == 0:
         raise ValueError("there are no samples to learn from; give at least one snapshot pair or phase sample")
+    bad = np.flatnonzero(~np.isfinite(triangle[:, 1:].sum(axis=0)))
+    if len(bad):
+        raise ValueError(f"column {bad[0] + 1} of {len(triangle) - 1} has NaN or infinite entries, or overflows")
     # The leading column of ones makes the first row the mean, and the rest the factor about it.
     mean = triangle[0, 1:] / triangle[0, 0]
-    factor = triangle[1:, 1:].copy()
-    constant = np.linalg.norm(factor, axis=0) <= CONSTANT * np.sqrt(n_samples) * np.abs(mean)
-    factor[:, constant] = 0.0
+    factor = np.ascontiguousarray(np.triu(triangle)[1 : min(n_samples, len(triangle)), 1:])
+    spread = np.sqrt((factor**2).sum(axis=0))
+    factor[:, spread <= CONSTANT * np.sqrt(n_samples) * np.abs(mean)] = 0.0
     return Moments(n_samples=n_samples, mean=mean, factor=factor)
+
+
+def triangular_factor(rows: Array) -> Array:
+    """R (min(N, k), k) with R^T R = rows^T rows for rows (N, k), by orthogonal transformations."""
+    size = rows.shape[1]
+    triangle = np.zeros((size, size), order="F")
+    for first in range(0, len(rows), 4096):
+        triangle = _rotated(triangle, np.array(rows[first : first + 4096], dtype=np.float64, order="F"))
+    return np.ascontiguousarray(np.triu(triangle)[: len(rows)])
+
+
+def _rotated(triangle: Array, rows: Array) -> Array:
+    """Triangle of the QR factorisation of [triangle; rows], both in column-major order; both are overwritten."""
+    if len(rows) == 0 or len(triangle) == 0:
+        return triangle
+    width = min(REFLECTOR, len(triangle))
+    result, _, _, _ = lapack.dtpqrt(0, width, triangle, rows, overwrite_a=1, overwrite_b=1)
+    return np.asarray(result)
