@@ -276,6 +276,22 @@ def test_strain_sets_are_extensible() -> None:
     assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(0.05 * 0.3 / body.stiffness[2], rel=1e-9)
 
 
+def test_coordinates_of_a_rod_of_two_elements_come_back_from_its_fields() -> None:
+    scene = rod.Scene(rod.Rod(0.3, rod.Circle(1e-3), STEEL, elements=(0.1, 0.2)), nodes=3)
+    coordinates = scene.coordinates(9)
+    x = np.random.default_rng(5).standard_normal(scene.n_states)
+    assert np.asarray(coordinates.function(scene.fields(x, 9).ravel())).ravel() == pytest.approx(x, abs=1e-8)
+    with pytest.raises(ValueError, match="element"):
+        scene.coordinates(6)
+
+
+def test_the_tip_is_the_tip_though_the_elements_add_up_with_rounding() -> None:
+    scene = rod.Scene(rod.Rod(0.3, rod.Circle(1e-3), STEEL, elements=(0.1, 0.2)))
+    assert 0.1 + 0.2 != 0.3
+    tips = [(scene + w).statics().solve().tip for w in (rod.PointWrench(0.3, (1, 0, 0)), rod.TipWrench((1, 0, 0)))]
+    assert np.array_equal(tips[0], tips[1])
+
+
 def test_extensible_rods_stretch_without_shear() -> None:
     body = rod.Rod(0.3, rod.Circle(0.01), RUBBER, "extensible")
     assert rod.Scene(body, rod.TipWrench(force=(0.0, 0.0, 10.0))).statics().solve().tip[2] == pytest.approx(

@@ -88,4 +88,8 @@ def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinat
     points = station_points(stations, scene.rod.length)
     if len(points) < scene.nodes:
         raise ValueError(f"{len(points)} stations cannot tell {scene.nodes} nodes apart; give at least {scene.nodes}")
+    if np.linalg.matrix_rank(scene.rule.interpolate(points)) < scene.nodes:
+        raise ValueError(
+            f"stations {points} leave an element of the rod with fewer stations than nodes {scene.element_nodes}"
+        )
     return RodCoordinates(scene, points)

@@ -230,7 +230,11 @@ class Motion:
 
     def frame_at(self, s: float) -> ca.SX:
         """Rotation R at one arclength."""
-        return self.tip_frame if s == self.rule.length else self.frames_at([s])[0]
+        return self.tip_frame if self.is_tip(s) else self.frames_at([s])[0]
+
+    def is_tip(self, s: float) -> bool:
+        """Whether an arclength is that of the tip, to rounding: the elements of a rod add up to L only to that."""
+        return bool(np.isclose(s, self.rule.length, rtol=1e-12, atol=0.0))
 
     def _based(self, base: ca.SX) -> ca.SX:
         return ca.repmat(base, 1, self.rule.n_nodes)

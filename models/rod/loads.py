@@ -79,7 +79,7 @@ class Loads:
 
     def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
         """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``."""
-        if s == motion.rule.length:
+        if motion.is_tip(s):
             self.tip_force += force
             self.tip_moment += moment
         else:
@@ -121,7 +121,7 @@ def shares_below(motion: Motion, s: float) -> Array:
     so the load is the exact adjoint of the interpolated position and mass matrices stay symmetric. The shares are the
     step from 1 below ``s`` to 0 above it, exactly so where an element ends at ``s``.
     """
-    if s == motion.rule.length:
+    if motion.is_tip(s):
         return np.ones((1, motion.rule.n_nodes))
     shares: Array = motion.rule.integrate_to([s]) / motion.rule.weights
     return shares

@@ -92,7 +92,7 @@ class Spring:
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the force at ``s``."""
         s = motion.rod.length if self.s is None else self.s
-        here = motion.tip if s == motion.rod.length else motion.position_at([s])
+        here = motion.tip if motion.is_tip(s) else motion.position_at([s])
         way = loads.read(self.point) - here
         force = self.stiffness * way
         if self.rest_length > 0.0:  # rounded over 1e-6 of the rest length where the ends meet
@@ -180,4 +180,10 @@ class PointMass:
 
     def describe(self, rod: Any) -> str:
         """Place and mass."""
-        return f"mass {self.mass:g} kg at s = {self.s:g} m, inertia {self.inertia} kg m^2, offset {self.offset} m"
+        inertia = f", inertia {_short(self.inertia)} kg m^2" if any(self.inertia) else ""
+        offset = f", offset {_short(self.offset)} m" if any(self.offset) else ""
+        return f"mass {self.mass:g} kg at s = {self.s:g} m{inertia}{offset}"
+
+
+def _short(values: Sequence[float]) -> str:
+    return f"({', '.join(f'{v:g}' for v in values)})"
