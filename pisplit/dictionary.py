@@ -319,7 +319,8 @@ class Dictionary:
     @cached_property
     def _fingerprint(self) -> str:
         functions = (self._state_part.function, self._input_part.function)
-        digest = hashlib.sha256(json.dumps(self._facts(), sort_keys=True).encode())
+        facts = {name: fact for name, fact in self._facts().items() if name != "given"}
+        digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
         for function in functions:
             digest.update(function.serialize().encode())
         return digest.hexdigest()
