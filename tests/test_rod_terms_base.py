@@ -127,6 +127,38 @@ def test_a_shaken_rod_follows_the_simulation_in_the_frame_of_its_base() -> None:
     assert tips[0] == pytest.approx(tips[1], abs=1e-6)
 
 
+def test_rest_on_an_accelerated_base_is_rest_in_changed_gravity() -> None:
+    a = np.array([4.0, -2.0, 1.0])
+    mass = rod.PointMass(LENGTH, 0.01, offset=(0.0, 0.01, 0.0))
+    carried = rod.Scene(body(), rod.Gravity((0.0, 0.0, -9.81)), mass, rod.Base(acceleration=rod.Input("a", 3)))
+    felt = rod.Scene(body(), rod.Gravity(vector(np.array([0.0, 0.0, -9.81]) - a)), mass)
+    assert carried.statics().solve(a).tip == pytest.approx(felt.statics().solve().tip, abs=1e-9)
+
+
+def test_a_towed_rod_leans_back_by_its_drag() -> None:
+    """Small constant load c V: c V L^4 / (8 EI)."""
+    scene = rod.Scene(body("planar"), rod.Base(velocity=(0.5, 0.0, 0.0)), rod.LinearDrag(2e-3))
+    exact = -2e-3 * 0.5 * LENGTH**4 / (8.0 * body().stiffness[1])
+    assert scene.statics().solve().tip[0] == pytest.approx(exact, rel=1e-4)
+
+
+def test_a_rod_that_rests_on_a_turning_base_does_not_accelerate() -> None:
+    """Clamped at 30 degrees to a vertical axis of spin under gravity; it leans outwards, and further when faster."""
+
+    def rest(spin: float) -> np.ndarray:
+        turning = rod.Base(rotation=(0.0, np.pi / 6.0, 0.0), spin=(0.0, 0.0, spin))
+        scene = rod.Scene(body(), rod.Gravity((0.0, 0.0, -9.81)), turning, nodes=6)
+        found = scene.statics().solve()
+        assert found.success
+        rates = np.asarray(scene.acceleration(found.strains, np.zeros(scene.n_strains), []))
+        assert np.abs(rates).max() < 1e-6 * scene.rod.bending_rate**2 / LENGTH
+        return found.tip
+
+    tips = [rest(spin) for spin in (0.0, 10.0, 20.0)]
+    assert tips[0][0] < tips[1][0] < tips[2][0]
+    assert np.abs([tip[1] for tip in tips]).max() < 1e-9
+
+
 def test_one_base_a_scene() -> None:
     with pytest.raises(ValueError, match="one Base"):
         rod.Scene(body(), rod.Base(), rod.Base())

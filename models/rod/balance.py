@@ -48,8 +48,9 @@ class Balance:
 
     @property
     def base(self) -> BaseState:
-        """Motion of the clamp; at rest in statics."""
-        states = [t.state(self.inputs, moving=self.rates.nnz() > 0) for t in self.terms if isinstance(t, Base)]
+        """Motion of the clamp."""
+        moving = self.inertia or self.rates.nnz() > 0
+        states = [t.state(self.inputs, moving) for t in self.terms if isinstance(t, Base)]
         return states[0] if states else BaseState.fixed()
 
     @cached_property

@@ -21,8 +21,9 @@ class Base:
 
     Each argument is three numbers or an ``Input`` of size 3, in world axes. They are taken as they are given: whoever
     drives several of them sees to it that velocity and acceleration are the derivatives of the position (an arm on a
-    shaker whose terms do not read positions and velocities needs the acceleration only). Statics takes the base at rest
-    in its pose.
+    shaker whose terms do not read positions and velocities needs the acceleration only). Statics of a rod on a moving
+    base is the shape that rests relative to the base: under a constant acceleration, a constant spin, or towed through
+    a medium.
 
     Args:
         position: of the clamp in m.
@@ -47,6 +48,12 @@ class Base:
         """Those arguments that are inputs."""
         values = [getattr(self, item.name) for item in fields(self)]
         return tuple(v for v in values if isinstance(v, Input))
+
+    @property
+    def moves(self) -> bool:
+        """Whether velocities or accelerations are prescribed."""
+        rates = (self.velocity, self.acceleration, self.spin, self.spin_rate)
+        return any(isinstance(v, Input) or any(v) for v in rates)
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """No load: the motion of the rod starts from this base."""

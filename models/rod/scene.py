@@ -184,7 +184,9 @@ class Scene:
         for item in self.inputs:
             parts[item.name] = u[start : start + item.size]
             start += item.size
-        moving = accelerations is not None
+        carried = any(isinstance(t, Base) and t.moves for t in self.terms)
+        at_rest = accelerations is None and not rates.nnz() and dead_force is None
+        moving = accelerations is not None or (at_rest and carried)  # at rest on a moving base: inertia of that motion
         second = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
         motion = (strains, rates, second)
         return Balance(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
