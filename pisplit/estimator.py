@@ -118,8 +118,10 @@ class Estimator:
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
         theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
-        scale = column_scales(pair_moments(theta, chosen).std[: theta.n_columns], theta.column_quantities, self.scale)
-        splitting = self._splitting(self._context(theta, scale, d1.dt, samples))
+        moments = pair_moments(theta, chosen)
+        scale = column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale)
+        context = self._context(theta, scale, d1.dt, samples)
+        splitting = self._splitting(replace(context, known=(chosen, moments)))
         search = self._search(theta, splitting, d1, chosen, samples) if self.alpha == "cv" else None
         alpha = search.chosen if search else non_negative(self.alpha, "alpha")
         fit = splitting.solver(chosen)(alpha)

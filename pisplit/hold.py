@@ -24,7 +24,7 @@ from pisplit.episodes import Pairs
 from pisplit.generator import generator_edmd
 from pisplit.phase import PhaseSamples
 from pisplit.regression import ridge
-from pisplit.splitting import Solver, SplitContext, SplitFit, free_block, pair_moments
+from pisplit.splitting import Solver, SplitContext, SplitFit, free_block
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class Hold:
         """A function alpha -> fit for these pairs."""
         theta, context = self.context.theta, self.context
         size = theta.n_columns
-        moments = pair_moments(theta, pairs)
+        moments = context.moments(pairs)
         data = moments.rows(centred=False)
         gains = self._identify(data[:, :size], data[:, size:])
         physical = self._discrete(gains)
