@@ -115,13 +115,13 @@ def test_a_start_that_fails_gives_way_to_the_next(moving: np.ndarray, monkeypatc
     usual = simulator.run(u[None, :], moving)
     build, asked = simulator._integrator, []
 
-    def only_corrected(steps: int, correct: bool) -> ca.Function:
+    def only_corrected(steps: int, correct: bool, energy: bool) -> ca.Function:
         asked.append(correct)
         if not correct:
             x, z, p = ca.MX.sym("x"), ca.MX.sym("z"), ca.MX.sym("p")
             stuck = {"x": x, "z": z, "p": p, "ode": z, "alg": z * z + 1.0}  # has no consistent start at all
             return ca.integrator("stuck", "idas", stuck, 0.0, 1.0, {"disable_internal_warnings": True})
-        return build(steps, correct)
+        return build(steps, correct, energy)
 
     monkeypatch.setattr(simulator, "_integrator", only_corrected)
     fallen_back = simulator.run(u[None, :], moving)

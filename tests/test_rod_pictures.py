@@ -10,7 +10,7 @@ from PIL import Image
 
 from pisplit.models import rod
 from pisplit.models.rod import pictures
-from pisplit.models.rod.dynamics import Trajectory
+from pisplit.models.rod.trajectory import Trajectory
 
 OFFSET = 0.015
 ARM = rod.Scene(

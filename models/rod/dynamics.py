@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, finite_array, one_of, positive
+from pisplit.checks import Array, one_of, positive
+from pisplit.models.rod.energy import powers
+from pisplit.models.rod.trajectory import Propagation
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -28,40 +29,7 @@ MAX_STEPS = 10_000
 STARTS = ((0.0, 1.0, False), (1.0, 1.0, False), (0.0, 0.0, True))
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """States over time.
-
-    Attributes:
-        t: (T+1,) in s; x: (T+1, n_states) states [xi, xi_t, u]; u: (T, n_inputs) commands.
-        success: False when the integrator gave up; t, x and u then end at the last good step.
-        message: why it gave up, empty on success.
-        stats: counters of the integrator (steps, Jacobians, error-test failures).
-    """
-
-    t: Array
-    x: Array
-    u: Array
-    success: bool
-    message: str
-    stats: dict[str, int]
-    scene: Scene = field(repr=False, compare=False)
-
-    def fields(self, stations: int | ArrayLike = 6) -> Array:
-        """The 24 fields (T+1, S, 24) at stations; see ``Fields``."""
-        return self.scene.fields(self.x, stations)
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the arm as a plant: measured state (24 S,), whether the integrator succeeded, and why not."""
-
-    state: Array
-    ok: bool
-    message: str = ""
-
-
-class Simulator:
+class Simulator(Propagation):
     """Motion of a scene in steps of ``dt``; also the plant of a closed loop.
 
     Args:
@@ -77,49 +45,19 @@ class Simulator:
     that part one trajectory in ten takes 5 to 10 times as many iterations. Same answer, 60 % of the cost.
     """
 
+    scheme = "IDAS"
+
     def __init__(
         self, scene: Scene, dt: float, rtol: float = 1e-4, hold: str = "first", stations: int | ArrayLike = 6
     ) -> None:
-        self.scene = scene
-        self.dt = positive(dt, "Simulator dt", "s")
+        super().__init__(scene, dt, stations)
         self.rtol = positive(rtol, "Simulator rtol")
         if not 1e-12 <= self.rtol <= 0.1:
             raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
         self.hold = one_of(hold, "Simulator hold", ("first", "zero"))
-        self.field_map = scene.field_map(stations)
-        self._integrators: dict[tuple[int, bool], ca.Function] = {}
-        self._state: Array | None = None
+        self._integrators: dict[tuple[int, bool, bool], ca.Function] = {}
 
-    # Trajectories ----------------------------------------------------------------------------------------------------
-
-    def run(self, u: ArrayLike, x0: ArrayLike | None = None) -> Trajectory:
-        """Trajectory under commands ``u`` (T, n_inputs) from state ``x0``, or from rest under zero inputs.
-
-        With first-order hold the inputs start where ``x0`` has them and reach ``u[k]`` at the end of step k. An
-        integrator that gives up ends the trajectory at the last good step (``success=False``); it never raises.
-        """
-        commands = self.scene.checked_inputs(u, "u", (None, self.scene.n_inputs))
-        if len(commands) == 0:
-            raise ValueError("u has no rows; give at least one command")
-        start = self._rest(None) if x0 is None else finite_array(x0, "x0", (self.scene.n_states,))
-        try:
-            states, stats = self._integrate(start, commands)
-            success, message = True, ""
-        except RuntimeError:
-            states, stats, message = self._as_far_as_possible(start, commands)
-            success = not message
-        done = len(states)
-        return Trajectory(
-            t=self.dt * np.arange(done + 1, dtype=np.float64),
-            x=np.vstack([start, np.hstack([states, commands[:done]])]),
-            u=commands[:done].copy(),
-            success=success,
-            message=message,
-            stats=stats,
-            scene=self.scene,
-        )
-
-    def _integrate(self, start: Array, commands: Array) -> tuple[Array, dict[str, int]]:
+    def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
         """States [xi, xi_t] after each command: the first start (see ``_build``) that IDAS takes."""
         n, steps = self.scene.n_strains, len(commands)
         if self.hold == "first":
@@ -133,78 +71,22 @@ class Simulator:
         accelerations = np.asarray(self.scene.acceleration(start[:n], moving, origin[0])).ravel()
         failure: RuntimeError | None = None
         for of_strains, of_rates, correct in STARTS:
-            integrator = self._integrator(steps, correct)
+            integrator = self._integrator(steps, correct, energy)
             rates = np.concatenate([of_strains * moving, of_rates * accelerations])
             given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates])}
             try:
-                deviation = np.asarray(integrator(**given, u=controls.T)["xf"]).T
+                found = integrator(**given, u=controls.T)
             except RuntimeError as error:
                 failure = error
                 continue
-            states = start[: 2 * n] + self.dt * -np.expm1(-t / self.dt)[:, None] * rates + deviation
+            states = start[: 2 * n] + self.dt * -np.expm1(-t / self.dt)[:, None] * rates + np.asarray(found["xf"]).T
+            if energy:
+                states = np.hstack([states, np.asarray(found["qf"]).T])
             if np.all(np.isfinite(states)):
                 return states, _counters(integrator.stats())
             failure = RuntimeError("the integrator returned states that are not finite")
         assert failure is not None
         raise failure
-
-    def _as_far_as_possible(self, start: Array, commands: Array) -> tuple[Array, dict[str, int], str]:
-        """Step by step until a step fails."""
-        states: list[Array] = []
-        state, total = start, dict.fromkeys(_COUNTERS, 0)
-        for k, command in enumerate(commands):
-            try:
-                found, stats = self._integrate(state, command[None, :])
-            except RuntimeError as error:
-                message = f"IDAS gave up in step {k} at t = {k * self.dt:g} s: {_reason(error)}"
-                return np.array(states).reshape(len(states), 2 * self.scene.n_strains), total, message
-            states.append(found[0])
-            state = np.concatenate([found[0], command])
-            total = {name: total[name] + stats[name] for name in total}
-        return np.array(states), total, ""
-
-    # The arm as a plant ----------------------------------------------------------------------------------------------
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of input entries."""
-        return self.scene.n_inputs
-
-    @property
-    def n_states(self) -> int:
-        """Number of measured entries: 24 fields at every station."""
-        return len(self.field_map.names)
-
-    @property
-    def state(self) -> Array:
-        """Present state [xi, xi_t, u] of the plant."""
-        if self._state is None:
-            raise RuntimeError("the plant has no state yet; call reset() first")
-        return self._state
-
-    def reset(self, u0: ArrayLike | None = None) -> Array:
-        """Go to rest under inputs ``u0`` (zeros when not given); the measured fields (24 S,)."""
-        self._state = self._rest(u0)
-        return self._measure(self._state)
-
-    def step(self, u: ArrayLike) -> Step:
-        """Apply one command over ``dt`` and measure. A failed step leaves the plant where it was."""
-        command = self.scene.checked_inputs(u, "u", (self.scene.n_inputs,))
-        try:
-            found, _ = self._integrate(self.state, command[None, :])
-        except RuntimeError as error:
-            return Step(self._measure(self.state), False, f"IDAS gave up: {_reason(error)}")
-        self._state = np.concatenate([found[0], command])
-        return Step(self._measure(self._state), True)
-
-    def _measure(self, state: Array) -> Array:
-        return self.field_map.evaluate(state).ravel()
-
-    def _rest(self, u0: ArrayLike | None) -> Array:
-        equilibrium = self.scene.statics().solve(u0)
-        if not equilibrium.success:
-            raise RuntimeError(f"no rest position to start from: {equilibrium.message}")
-        return equilibrium.state
 
     # The integrator --------------------------------------------------------------------------------------------------
 
@@ -213,13 +95,13 @@ class Simulator:
         """The residual with its simplified iteration matrix: see ``motion_residual``."""
         return self.scene.native(self.scene.motion_residual)
 
-    def _integrator(self, steps: int, correct_first: bool) -> ca.Function:
-        key = (steps, correct_first)
+    def _integrator(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
+        key = (steps, correct_first, energy)
         if key not in self._integrators:
-            self._integrators[key] = self._build(steps, correct_first)
+            self._integrators[key] = self._build(*key)
         return self._integrators[key]
 
-    def _build(self, steps: int, correct_first: bool) -> ca.Function:
+    def _build(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
         """IDAS over a grid of steps, in the deviation from a motion with the right first derivative.
 
         CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: with plain states 7 %
@@ -244,6 +126,8 @@ class Simulator:
             "ode": ca.vertcat(x[n:], z) - fade * start[2 * n :],
             "alg": self._balance(x[:n], x[n:], z, u),
         }
+        if energy:
+            dae["quad"] = powers(scene)(x[:n], x[n:], u)
         rate = scene.rod.bending_rate
         nominal = np.concatenate([scene.nominal_strains * rate**k for k in range(3)])
         options = {
@@ -266,10 +150,3 @@ _COUNTERS = ("nsteps", "nlinsetups", "netfails")
 
 def _counters(stats: dict[str, object]) -> dict[str, int]:
     return {name: int(str(stats.get(name, 0))) for name in _COUNTERS}
-
-
-def _reason(error: RuntimeError) -> str:
-    """The part of CasADi's message that names the failure."""
-    text = str(error)
-    start = text.find("returned")
-    return text[start:].split(".")[0] if start >= 0 else text.strip().splitlines()[-1]

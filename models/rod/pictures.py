@@ -23,8 +23,8 @@ from pisplit.models.rod.tendons import Tendons
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pisplit.models.rod.dynamics import Trajectory
     from pisplit.models.rod.scene import Scene
+    from pisplit.models.rod.trajectory import Trajectory
 
 BACKBONE, PLATE, GHOST, PATH = "#2b2b2b", "#b9c2cc", "#9aa7b5", "#c2410c"
 TENSIONS = "plasma"

@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     from pisplit.models.rod.coordinates import RodCoordinates
     from pisplit.models.rod.cost import Cost
     from pisplit.models.rod.dynamics import Simulator
+    from pisplit.models.rod.energy import Energies
     from pisplit.models.rod.fields import Fields
     from pisplit.models.rod.linear import Linearisation
     from pisplit.models.rod.statics import Statics
+    from pisplit.models.rod.stepper import Stepper
 
 
 class Scene:
@@ -55,6 +57,7 @@ class Scene:
                 raise ValueError(f"Scene term {term!r} has no inputs/apply/describe; give terms such as Gravity(...)")
         self.rod = rod
         self.terms = tuple(terms)
+        self.balance_type: type[Balance] = Balance
         self.element_nodes = _nodes_of_elements(rod, nodes)
         self.nodes = sum(self.element_nodes)
         self._check_terms()
@@ -75,12 +78,12 @@ class Scene:
                 check(self.rod, self.rule)
 
     def __add__(self, term: Term) -> Scene:
-        return Scene(self.rod, *self.terms, term, nodes=self.element_nodes)
+        return self._with(*self.terms, term)
 
     def __sub__(self, term: Term) -> Scene:
         if term not in self.terms:
             raise ValueError(f"the scene does not contain {term!r}")
-        return Scene(self.rod, *[t for t in self.terms if t != term], nodes=self.element_nodes)
+        return self._with(*[t for t in self.terms if t != term])
 
     def replace(self, term: Term) -> Scene:
         """The scene with ``term`` in place of the one of the same type."""
@@ -89,18 +92,23 @@ class Scene:
             raise ValueError(
                 f"the scene has {len(same)} terms of type {type(term).__name__}; replace needs exactly one"
             )
-        return Scene(self.rod, *[term if t is same[0] else t for t in self.terms], nodes=self.element_nodes)
+        return self._with(*[term if t is same[0] else t for t in self.terms])
 
     def without(self, kind: type) -> Scene:
         """The scene without its terms of one type."""
-        return Scene(self.rod, *[t for t in self.terms if not isinstance(t, kind)], nodes=self.element_nodes)
+        return self._with(*[t for t in self.terms if not isinstance(t, kind)])
 
     def with_nodes(self, nodes: int | Sequence[int]) -> Scene:
         """The scene on another number of nodes."""
-        return Scene(self.rod, *self.terms, nodes=nodes)
+        return _rebuild(self.rod, self.terms, nodes, self.balance_type)
+
+    def _with(self, *terms: Term) -> Scene:
+        """The scene with other terms."""
+        return _rebuild(self.rod, terms, self.element_nodes, self.balance_type)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (self.rod, self.terms, self.element_nodes)  # graphs are rebuilt, not pickled
+        # Graphs are rebuilt, not pickled.
+        return _rebuild, (self.rod, self.terms, self.element_nodes, self.balance_type)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self.__reduce__() == other.__reduce__()
@@ -189,7 +197,7 @@ class Scene:
         moving = accelerations is not None or (at_rest and carried)  # at rest on a moving base: inertia of that motion
         second = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
         motion = (strains, rates, second)
-        return Balance(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
+        return self.balance_type(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
 
     @cached_property
     def static_balance(self) -> tuple[ca.SX, ca.SX, Balance]:
@@ -301,6 +309,29 @@ class Scene:
 
         return cost(self)
 
+    def stepper(self, dt: float, **options: object) -> Stepper:
+        """Dynamics over steps of ``dt`` seconds by a fixed-step scheme: see ``Stepper``."""
+        from pisplit.models.rod.stepper import Stepper
+
+        return Stepper(self, dt, **options)  # type: ignore[arg-type]
+
+    def variational(self) -> Scene:
+        """The same scene with equations that keep its energy, for undamped spatial rods: see ``VariationalBalance``.
+
+        Raises ValueError for a base that moves.
+        """
+        from pisplit.models.rod.variational import VariationalBalance
+
+        if any(isinstance(t, Base) and t.inputs for t in self.terms):
+            raise ValueError("variational equations need a resting base; give Base(...) a fixed pose or leave it out")
+        return _rebuild(self.rod, self.terms, self.element_nodes, VariationalBalance)
+
+    def energies(self, x: ArrayLike) -> Energies:
+        """Kinetic, elastic and gravity energy in J of states ``x`` (N, n_states): see ``Energies``."""
+        from pisplit.models.rod.energy import energies
+
+        return energies(self, x)
+
     def linearise(self, state: ArrayLike) -> Linearisation:
         """Linear dynamics about a state: see ``Linearisation``."""
         from pisplit.models.rod.linear import linearise
@@ -329,8 +360,12 @@ class Scene:
         return found
 
 
-def _rebuild(body: Rod, terms: tuple[Term, ...], nodes: tuple[int, ...]) -> Scene:
-    return Scene(body, *terms, nodes=nodes)
+def _rebuild(
+    body: Rod, terms: tuple[Term, ...], nodes: int | Sequence[int], balance_type: type[Balance] = Balance
+) -> Scene:
+    scene = Scene(body, *terms, nodes=nodes)
+    scene.balance_type = balance_type
+    return scene
 
 
 def _nodes_of_elements(body: Rod, nodes: int | Sequence[int]) -> tuple[int, ...]:

@@ -89,12 +89,12 @@ class Statics:
         """Scaled unknowns, inputs, load factor and scaled residual; the load factor multiplies what deforms the rod."""
         scene = self.scene
         n = scene.n_strains
-        x, u, load = ca.SX.sym("x", n), ca.SX.sym("u", scene.n_inputs), ca.SX.sym("load")
-        xi = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
-        zero = ca.SX(n, 1)
-        residual = scene.balance(xi, zero, None, u).residual / ca.DM(scene.nominal_residual)
-        bare = scene.without(object).balance(xi, zero, None, ca.SX(0, 1)).residual
-        return x, u, load, load * residual + (1.0 - load) * bare / ca.DM(scene.nominal_residual)
+        x, load = ca.SX.sym("x", n), ca.SX.sym("load")
+        xi, u, balance = scene.static_balance
+        bare = scene.without(object).balance(xi, ca.SX(n, 1), None, ca.SX(0, 1)).residual
+        residual = (load * balance.residual + (1.0 - load) * bare) / ca.DM(scene.nominal_residual)
+        scaled = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
+        return x, u, load, ca.substitute(residual, xi, scaled)
 
     @cached_property
     def residual_function(self) -> ca.Function:
