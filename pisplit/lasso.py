@@ -17,6 +17,8 @@ from pisplit.multi_target import Array, Index, Mask, Regression, free_entries, p
 SOLVERS = ("auto", "active-set", "cvxpy")
 #: Larger relative duality gaps are repaired, and reported if that fails.
 GAP = 1e-6
+#: Objectives below this fraction of |y|^2 are rounding to six digits.
+ROUNDING = 1e-8
 
 
 def alpha_max(a: Array, y: Array, prior: Array | None = None, free: Mask | None = None) -> float:
@@ -112,7 +114,7 @@ class _Triangular:
         return np.asarray(np.where(np.isin(np.arange(len(k)), better)[:, None], other, k))
 
     def gaps(self, k: Array) -> Array:
-        """Duality gap of every target at K (S, M), relative to its objective.
+        """Duality gap of every target at K (S, M), relative to its objective or, if that is larger, to 1e-8 |y|^2.
 
         With the residual e = b - R k and the dual point 2 s e, s <= 1 so that it is feasible, primal minus dual is
         (1 - s)^2 |e|^2 + sum_i (alpha |k_i| - 2 s k_i (R^T e)_i): every term is non-negative, nothing large cancels.
@@ -124,5 +126,7 @@ class _Triangular:
         s = np.minimum(1.0, 0.5 * self.alpha / largest)
         squared = (error**2).sum(axis=0)
         gap = (1.0 - s) ** 2 * squared + self.alpha * size - 2.0 * s * (k.T * slope).sum(axis=0)
-        objective = squared + self.rest + self.alpha * size
+        objective = np.maximum(
+            squared + self.rest + self.alpha * size, ROUNDING * ((self.b**2).sum(axis=0) + self.rest)
+        )
         return np.asarray(np.maximum(gap, 0.0) / np.where(objective > 0.0, objective, 1.0))

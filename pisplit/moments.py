@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 CONSTANT = 1e-13
 #: Columns that one block reflector of the QR factorisation eliminates: fastest of 16 to 128 at 723 columns.
 REFLECTOR = 32
+BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -50,13 +51,13 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
     Every block is rotated into the triangle of those before it, so that memory holds one block and one triangle.
     Raises ValueError if there are no rows and for entries that are not finite.
     """
-    triangle: Array | None = None
     n_samples = 0
+    triangle: Array | None = None
     for block in blocks:
         n_samples += len(block)
-        rows = np.ones((len(block), block.shape[1] + 1), order="F")
+        rows = np.ones((len(block), block.shape[1] + 1))
         rows[:, 1:] = block
-        triangle = _rotated(np.zeros((rows.shape[1],) * 2, order="F") if triangle is None else triangle, rows)
+        triangle = _rotated(triangle, rows)
     if triangle is None or n_samples == 0:
         raise ValueError("there are no samples to learn from; give at least one snapshot pair or phase sample")
     bad = np.flatnonzero(~np.isfinite(triangle[:, 1:].sum(axis=0)))
@@ -64,7 +65,7 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
         raise ValueError(f"column {bad[0] + 1} of {len(triangle) - 1} has NaN or infinite entries, or overflows")
     # The leading column of ones makes the first row the mean, and the rest the factor about it.
     mean = triangle[0, 1:] / triangle[0, 0]
-    factor = np.ascontiguousarray(np.triu(triangle)[1 : min(n_samples, len(triangle)), 1:])
+    factor = np.array(triangle[1:, 1:], order="C")
     spread = np.sqrt((factor**2).sum(axis=0))
     factor[:, spread <= CONSTANT * np.sqrt(n_samples) * np.abs(mean)] = 0.0
     return Moments(n_samples=n_samples, mean=mean, factor=factor)
@@ -72,17 +73,22 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
 
 def triangular_factor(rows: Array) -> Array:
     """R (min(N, k), k) with R^T R = rows^T rows for rows (N, k), by orthogonal transformations."""
+    triangle: Array | None = None
+    for first in range(0, len(rows), BLOCK):
+        triangle = _rotated(triangle, rows[first : first + BLOCK])
+    return np.zeros((0, rows.shape[1])) if triangle is None else np.ascontiguousarray(triangle)
+
+
+def _rotated(triangle: Array | None, rows: Array) -> Array:
+    """Triangle of the QR factorisation of [triangle; rows], a trapezoid while there are fewer rows than columns."""
     size = rows.shape[1]
-    triangle = np.zeros((size, size), order="F")
-    for first in range(0, len(rows), 4096):
-        triangle = _rotated(triangle, np.array(rows[first : first + 4096], dtype=np.float64, order="F"))
-    return np.ascontiguousarray(np.triu(triangle)[: len(rows)])
-
-
-def _rotated(triangle: Array, rows: Array) -> Array:
-    """Triangle of the QR factorisation of [triangle; rows], both in column-major order; both are overwritten."""
-    if len(rows) == 0 or len(triangle) == 0:
+    if triangle is None or len(triangle) < size:
+        stacked = rows if triangle is None else np.vstack([triangle, rows])
+        if len(stacked) <= size:
+            return np.asarray(np.linalg.qr(stacked, mode="r"))
+        triangle, rows = np.asarray(np.linalg.qr(stacked[:size], mode="r")), stacked[size:]
+    if len(rows) == 0 or size == 0:
         return triangle
-    width = min(REFLECTOR, len(triangle))
-    result, _, _, _ = lapack.dtpqrt(0, width, triangle, rows, overwrite_a=1, overwrite_b=1)
-    return np.asarray(result)
+    columnwise = np.array(rows, dtype=np.float64, order="F")
+    result, _, _, _ = lapack.dtpqrt(0, min(REFLECTOR, size), np.asfortranarray(triangle), columnwise, overwrite_b=1)
+    return np.asarray(np.triu(result))

@@ -17,7 +17,7 @@ Index = NDArray[np.int64]
 class Regression:
     """K (S, M); the numerical rank of the data (None for LASSO); for LASSO the duality gap of every target.
 
-    gaps  (S,) duality gaps relative to the objective |A k - y|^2 + alpha |k - prior|_1, or None
+    gaps  (S,) duality gaps relative to the objective |A k - y|^2 + alpha |k - prior|_1 (at least 1e-8 |y|^2), or None
     gap   the largest of them, or None
     """
 

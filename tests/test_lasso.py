@@ -147,3 +147,16 @@ def test_moments_do_not_depend_on_the_blocks() -> None:
     np.testing.assert_allclose(whole.mean, parts.mean, rtol=1e-9, atol=1e-13 * np.logspace(-12, 12, 40).min())
     assert accumulate([data[:1]]).factor.shape == (0, 40)
     assert accumulate([data[:5]]).factor.shape == (4, 40)
+
+
+@pytest.mark.parametrize("n_rows", [1, 2, 5, 9, 60])
+def test_moments_of_few_rows_with_dependent_columns_lose_nothing(n_rows: int) -> None:
+    rng = np.random.default_rng(1)
+    data = rng.normal(size=(n_rows, 6))
+    data[:, 0], data[:, 3] = 1.0, data[:, 1]
+    moments = accumulate(data[i : i + 2] for i in range(0, n_rows, 2))
+    centred = data - data.mean(axis=0)
+    np.testing.assert_allclose(moments.factor.T @ moments.factor, centred.T @ centred, atol=1e-12)
+    rows = triangular_factor(data)
+    np.testing.assert_allclose(rows.T @ rows, data.T @ data, atol=1e-12)
+    assert len(rows) <= 6

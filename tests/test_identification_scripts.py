@@ -1,0 +1,28 @@
+"""Stress test and benchmark of identification, as a user runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+def figures(name: str, folder: Path, *arguments: str) -> dict[str, Any]:
+    command = [sys.executable, str(SCRIPTS / name), "--quick", "--json", "out.json", *arguments]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=200, env=environment)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    found: dict[str, Any] = json.loads((folder / "out.json").read_text())["figures"]
+    return found
+
+
+def test_awkward_data_end_in_a_correct_answer_or_one_clear_error(tmp_path: Path) -> None:
+    found = figures("stress_identification.py", tmp_path)
+    assert found["silently wrong cases"]["value"] == 0
+    assert found["correct cases"]["value"] >= 40 and found["refused cases"]["value"] >= 20
+    assert found["flagged cases"]["value"] <= 7
