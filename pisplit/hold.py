@@ -12,8 +12,6 @@ unknown part can act (ports) and D the features it can depend on.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
@@ -22,9 +20,9 @@ from scipy.optimize import least_squares
 from pisplit.checks import finite_array
 from pisplit.episodes import Pairs
 from pisplit.generator import generator_edmd
-from pisplit.phase import PhaseSamples
 from pisplit.regression import ridge
-from pisplit.splitting import Solver, SplitContext, SplitFit, free_block
+from pisplit.split_options import check_options, directions, generator_samples, ports
+from pisplit.splitting import Solver, SplitContext, SplitFit
 
 Array = NDArray[np.float64]
 
@@ -54,12 +52,8 @@ class Hold:
 
     def __init__(self, context: SplitContext) -> None:
         theta = context.theta
-        unknown = set(context.options) - set(OPTIONS)
-        if unknown:
-            raise ValueError(f"options of split='hold' are {', '.join(OPTIONS)}; got {unknown.pop()!r}")
-        if theta.state_delays or theta.input_delays > 1:
-            raise ValueError("split='hold' takes Delays(inputs=1) or no delays; the state of f has no past")
-        samples = _samples(context)
+        check_options(context, "hold", OPTIONS)
+        samples = generator_samples(context, "hold")
         self.context = context
         self.learned = theta.learned_columns
         self.inputs = np.arange(theta.n_lifted, theta.n_columns)
@@ -75,7 +69,7 @@ class Hold:
         self.deviation = self._deviation(size, features)
         if "equilibrium" in context.options:
             self.drive = -self.drift @ self._equilibrium(size, features)
-        self.ports = self._ports(size)
+        self.ports = ports(context)
 
     def solver(self, pairs: Pairs) -> Solver:
         """A function alpha -> fit for these pairs."""
@@ -164,50 +158,10 @@ class Hold:
             full = np.hstack([np.eye(size), -self._equilibrium(size, features)])
             if "loads" not in options:
                 return full
-            return np.asarray(_directions(options["loads"], "loads", (None, size)) @ full)
+            return np.asarray(directions(options["loads"], "loads", (None, size)) @ full)
         if "loads" in options:
             raise ValueError("options['loads'] selects from the deviation; give options['equilibrium'] too")
         every = np.eye(size + features + 1)
         if self.context.theta.constant_column is None:
             every = every[:-1]
         return every[size : size + features] if self.context.rows == "inputs" else every
-
-    def _ports(self, size: int) -> Array:
-        options: Any = self.context.options
-        if "ports" in options:
-            if self.context.rows is not None:
-                raise ValueError("options['ports'] and rows both say where h acts; give one of them")
-            return _directions(options["ports"], "ports", (size, None))
-        if self.context.rows == "inputs":
-            return np.eye(size)
-        free, _, _ = free_block(self.context.theta, self.context.rows)
-        return np.eye(size)[:, np.searchsorted(self.learned, free)]
-
-
-def _samples(context: SplitContext) -> PhaseSamples:
-    """Samples of f for the generator; all phase samples given must be of this system."""
-    theta = context.theta
-    for name, samples in (("d2", context.samples), ("options['tangent']", context.options.get("tangent"))):
-        if samples is None and name != "d2":
-            continue
-        if not isinstance(samples, PhaseSamples):
-            raise ValueError(f"{name} is a {type(samples).__name__}; split='hold' needs PhaseSamples of the known part")
-        given = (samples.n_states, samples.n_inputs)
-        if given != (theta.n_states, theta.n_inputs):
-            raise ValueError(
-                f"{name} has {given[0]} states and {given[1]} inputs; "
-                f"the dictionary expects {theta.n_states} and {theta.n_inputs}"
-            )
-    chosen: PhaseSamples = context.options.get("tangent", context.samples)
-    return chosen
-
-
-def _directions(given: Any, name: str, shape: tuple[int | None, int | None]) -> Array:
-    """At least one direction, none of them zero."""
-    array = finite_array(given, f"options[{name!r}]", shape)
-    axis = shape.index(None)
-    if array.shape[axis] == 0 or not np.abs(array).max(axis=1 - axis).all():
-        raise ValueError(
-            f"options[{name!r}] of shape {array.shape} holds no direction, or one that is zero; leave it out"
-        )
-    return array

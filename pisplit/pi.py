@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.balanced import Balanced
 from pisplit.checks import non_negative, one_of
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
@@ -20,7 +21,12 @@ from pisplit.splitting import Lie, SplitContext, Splitting, Strang
 
 Array = NDArray[np.float64]
 
-SPLITS: dict[str, Callable[[SplitContext], Splitting]] = {"strang": Strang, "lie": Lie, "hold": Hold}
+SPLITS: dict[str, Callable[[SplitContext], Splitting]] = {
+    "strang": Strang,
+    "lie": Lie,
+    "balanced": Balanced,
+    "hold": Hold,
+}
 
 
 class PIEDMDc(Estimator):
@@ -30,14 +36,16 @@ class PIEDMDc(Estimator):
     alpha            weight of the penalty on K_h, or "cv": chosen on roll-outs of held-out training episodes
     penalty          "lasso" (paper; pulled-back residual) or "ridge" (composed residual, K_f is never inverted)
     toward           what the penalty pulls K_h to: "zero" (paper) or "identity", which leaves the known physics
-    split            "strang" (paper), "lie", or "hold": both generators in one exponential (:class:`pisplit.hold.Hold`)
+    split            "strang" (paper), "lie", "balanced": Strang about the equilibrium under u
+                     (:class:`pisplit.balanced.Balanced`), or "hold": both generators in one exponential
+                     (:class:`pisplit.hold.Hold`)
     half_step        "generator" (exponential of the generator), "flow" (EDMD on the flow of f) or "auto"
     rows             where K_h may differ from the identity: None everywhere; "inputs" in the input columns only; names
                      of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
                      the others, which take K_f twice)
     scale, relative, alphas, cv_states, cv_tolerance   as in LinearEDMDc
     generator_alpha  ridge of the regression that identifies the generator or flow map, relative to its Gram diagonal
-    options          further options of the splitting (hold: see there)
+    options          further options of the splitting (balanced, hold: see there)
 
     With an invertible K_f, alpha = 0 and rows = None it equals EDMDc: K_f cancels.
     """
