@@ -271,6 +271,36 @@ class Episodes:
                 **{name: h5.read_strings(file, name) for name in names},
             )
 
+    @classmethod
+    def from_arrays(cls, t: ArrayLike, x: ArrayLike, u: ArrayLike, **options: Any) -> Episodes:
+        """Episodes from a recording, resampled and split at gaps (:func:`pisplit.importing.from_arrays`)."""
+        from pisplit import importing  # it makes Episodes: it cannot be imported before them
+
+        return importing.from_arrays(t, x, u, **options)
+
+    @classmethod
+    def from_csv(
+        cls, path: str | os.PathLike[str], time: str, states: Sequence[str], inputs: Sequence[str], **options: Any
+    ) -> Episodes:
+        """Episodes from a table with one header line (:func:`pisplit.importing.from_csv`)."""
+        from pisplit import importing
+
+        return importing.from_csv(path, time, states, inputs, **options)
+
+    @classmethod
+    def from_mat(
+        cls,
+        path: str | os.PathLike[str],
+        time: str,
+        states: str | Sequence[str],
+        inputs: str | Sequence[str],
+        **options: Any,
+    ) -> Episodes:
+        """Episodes from variables of a MATLAB file (:func:`pisplit.importing.from_mat`)."""
+        from pisplit import importing
+
+        return importing.from_mat(path, time, states, inputs, **options)
+
 
 def excited_directions(inputs: Array) -> tuple[Array, Array]:
     """Mean (m,) of inputs (N, m) and an orthonormal basis (m, r) of the directions in which they vary.
