@@ -166,3 +166,12 @@ def test_one_base_a_scene() -> None:
         rod.Base(position=(0.0, 1.0))
     with pytest.raises(ValueError, match="does not turn"):
         rod.Scene(body(), rod.Base(spin=(0.0, 0.0, 1.0))).coordinates(6)
+
+
+def test_energies_and_variational_equations_are_for_a_base_that_rests() -> None:
+    pose, spinning = rod.Base(rotation=vector(TURN)), rod.Base(spin=(0.0, 0.0, 1.0))
+    moving = rod.Scene(body(), rod.Gravity((0.0, 0.0, -9.81)), spinning)
+    assert np.isfinite(rod.Scene(body(), pose).energies(np.zeros((1, 24))).total).all()
+    for call in (lambda: moving.energies(np.zeros((1, moving.n_states))), moving.variational):
+        with pytest.raises(ValueError, match="resting base"):
+            call()

@@ -175,5 +175,7 @@ def _weights(scene: Scene) -> Array:
 
 
 def _check_base(scene: Scene) -> None:
-    if any(isinstance(t, Base) and t.inputs for t in scene.terms):
-        raise ValueError("energies are those of a rod on a resting base; leave out the inputs of Base(...)")
+    if any(isinstance(t, Base) and (t.inputs or t.moves) for t in scene.terms):
+        raise ValueError(
+            "energies are those of a rod on a resting base; give Base(...) a fixed pose and nothing that moves"
+        )

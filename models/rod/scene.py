@@ -322,7 +322,7 @@ class Scene:
         """
         from pisplit.models.rod.variational import VariationalBalance
 
-        if any(isinstance(t, Base) and t.inputs for t in self.terms):
+        if any(isinstance(t, Base) and (t.inputs or t.moves) for t in self.terms):
             raise ValueError("variational equations need a resting base; give Base(...) a fixed pose or leave it out")
         return _rebuild(self.rod, self.terms, self.element_nodes, VariationalBalance)
 

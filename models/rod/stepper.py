@@ -92,7 +92,7 @@ class Stepper(Propagation):
         stations: int | ArrayLike = 6,
     ) -> None:
         super().__init__(scene, dt, stations)
-        moving_base = any(isinstance(t, Base) and t.inputs for t in scene.terms)
+        moving_base = any(isinstance(t, Base) and (t.inputs or t.moves) for t in scene.terms)
         if not (scene.damped or scene.rod.strain_set.planar or moving_base):
             self.equations = scene.variational()
         self.substeps = int(np.ceil(self.dt / positive(step, "Stepper step", "s") - 1e-9))
