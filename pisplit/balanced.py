@@ -35,8 +35,9 @@ class Balanced:
         loads        (q, S) rows D that select what h depends on, from the deviation; default: all of it.
 
     ``alpha`` weighs |H|^2 in units of ports and loads in which the data are of size one; the residual is that of the
-    composed map, F is never inverted. Gains are those of the kick: 1 + dt P H D stands for exp(dt P H_h D). It is a ridge whatever ``penalty`` says; ``toward`` and ``half_step`` play no
-    part. A large alpha leaves the known part, H = 0.
+    composed map, F is never inverted. Gains are those of the kick: 1 + dt P H D stands for exp(dt P H_h D). It is a
+    ridge whatever ``penalty`` says; ``toward`` and ``half_step`` play no part. A large alpha leaves the known part,
+    H = 0.
 
     Source: balanced splitting after Speth, Green, MacNamara and Strang, SIAM J. Numer. Anal. 51 (2013).
     """

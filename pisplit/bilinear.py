@@ -5,6 +5,7 @@ from __future__ import annotations
 from pisplit.dictionary import Dictionary
 from pisplit.edmdc import DirectEDMDc
 from pisplit.episodes import Episodes, Pairs
+from pisplit.estimator import Equilibria
 
 
 class BilinearEDMDc(DirectEDMDc):
@@ -15,9 +16,13 @@ class BilinearEDMDc(DirectEDMDc):
     Theta = [Theta_x; u_1 Theta_x; ..; u_m Theta_x]. Options: :class:`pisplit.edmdc.DirectEDMDc`.
     """
 
-    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> BilinearEDMDc:
-        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself."""
-        self._fit(d1, None, pairs)
+    def fit(self, d1: Episodes, pairs: Pairs | None = None, equilibria: Equilibria | None = None) -> BilinearEDMDc:
+        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
+
+        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
+        counts as one pair, with the past equal to the present.
+        """
+        self._fit(d1, None, pairs, equilibria)
         return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pisplit.checks import non_negative, one_of
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
-from pisplit.estimator import Estimator
+from pisplit.estimator import Equilibria, Estimator
 from pisplit.phase import PhaseSamples
 from pisplit.regression import PENALTIES
 from pisplit.splitting import Direct, SplitContext, Splitting
@@ -77,7 +77,11 @@ class DirectEDMDc(Estimator):
 class LinearEDMDc(DirectEDMDc):
     """L-EDMDc: z+ = A z + B phi(u) (paper; Korda and Mezic, Automatica 93, 2018). Options: :class:`DirectEDMDc`."""
 
-    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> LinearEDMDc:
-        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself."""
-        self._fit(d1, None, pairs)
+    def fit(self, d1: Episodes, pairs: Pairs | None = None, equilibria: Equilibria | None = None) -> LinearEDMDc:
+        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
+
+        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
+        counts as one pair, with the past equal to the present.
+        """
+        self._fit(d1, None, pairs, equilibria)
         return self

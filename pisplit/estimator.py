@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 
 _E = TypeVar("_E", bound="Estimator")
 
+#: Static solutions of the actuated system: x (N, n) and u (N, m).
+Equilibria = tuple[ArrayLike, ArrayLike]
+
 GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
 MAX_HELD_OUT = 4
 
@@ -113,15 +116,18 @@ class Estimator:
             raise ValueError(f"{type(self).__name__} is linear in z; ob.Bilinear products belong to BilinearEDMDc")
         return theta
 
-    def _fit(self, d1: Episodes, samples: PhaseSamples | None, pairs: Pairs | None) -> None:
+    def _fit(
+        self, d1: Episodes, samples: PhaseSamples | None, pairs: Pairs | None, equilibria: Equilibria | None
+    ) -> None:
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
         theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
-        moments = pair_moments(theta, chosen)
+        rest = None if equilibria is None else _resting(equilibria, theta)
+        moments = pair_moments(theta, chosen, rest)
         scale = column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale)
         context = self._context(theta, scale, d1.dt, samples)
-        splitting = self._splitting(replace(context, known=(chosen, moments)))
+        splitting = self._splitting(replace(context, equilibria=rest, known=(chosen, moments)))
         search = self._search(theta, splitting, d1, chosen, samples) if self.alpha == "cv" else None
         alpha = search.chosen if search else non_negative(self.alpha, "alpha")
         fit = splitting.solver(chosen)(alpha)
@@ -131,6 +137,7 @@ class Estimator:
             "alpha": alpha,
             "dictionary": theta.fingerprint(),
             "pairs": len(chosen),
+            "equilibria": 0 if rest is None else len(rest[0]),
             "details": dict(fit.details),
             "data": dict(d1.provenance or {}),
         }
@@ -176,6 +183,14 @@ def _checked(pairs: Pairs, d1: Episodes, theta: Dictionary) -> Pairs:
     if len(pairs) == 0 or int(pairs.index.min()) < theta.n_delays:
         raise ValueError(f"pairs need {theta.n_delays} steps of history; make them with d1.pairs({theta.n_delays})")
     return replace(pairs, n_delays=theta.n_delays)
+
+
+def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
+    """Equilibria x (N, n) and inputs u (N, m) of this system."""
+    if not isinstance(equilibria, tuple | list) or len(equilibria) != 2:
+        raise ValueError("equilibria are two arrays: (x (N, n), u (N, m)), states that rest under constant inputs")
+    states = finite_array(equilibria[0], "x of equilibria", (None, theta.n_states))
+    return states, finite_array(equilibria[1], "u of equilibria", (len(states), theta.n_inputs))
 
 
 def _hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:

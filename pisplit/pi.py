@@ -12,7 +12,7 @@ from pisplit.balanced import Balanced
 from pisplit.checks import non_negative, one_of
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
-from pisplit.estimator import Estimator
+from pisplit.estimator import Equilibria, Estimator
 from pisplit.generator import HALF_STEPS
 from pisplit.hold import Hold
 from pisplit.phase import PhaseSamples
@@ -88,11 +88,17 @@ class PIEDMDc(Estimator):
         self.generator_alpha = generator_alpha
         self.options = options
 
-    def fit(self, d1: Episodes, d2: PhaseSamples, pairs: Pairs | None = None) -> PIEDMDc:
-        """Fit to the phase samples d2 and to all pairs of the episodes d1, or to ``pairs`` drawn from them."""
+    def fit(
+        self, d1: Episodes, d2: PhaseSamples, pairs: Pairs | None = None, equilibria: Equilibria | None = None
+    ) -> PIEDMDc:
+        """Fit to the phase samples d2 and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
+
+        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
+        counts as one pair, with the past equal to the present.
+        """
         if not isinstance(d2, PhaseSamples):
             raise ValueError(f"d2 is a {type(d2).__name__}; expected PhaseSamples of the known vector field")
-        self._fit(d1, d2, pairs)
+        self._fit(d1, d2, pairs, equilibria)
         return self
 
     def _splitting(self, context: SplitContext) -> Splitting:

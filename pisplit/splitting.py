@@ -6,7 +6,7 @@ every alpha: cross-validation calls the last step for a whole grid.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -28,6 +28,7 @@ Index = NDArray[np.int64]
 class SplitContext:
     """What a splitting may use besides the pairs: dictionary, column scales (M,), dt [s], D2, estimator options.
 
+    ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests; each counts as a pair that maps to itself.
     ``known``: pairs whose moments are there already; they take most of the time of a fit.
     """
 
@@ -42,13 +43,14 @@ class SplitContext:
     relative: bool
     generator_alpha: float
     options: Mapping[str, Any] = field(default_factory=dict)
+    equilibria: tuple[Array, Array] | None = None
     known: tuple[Pairs, Moments] | None = None
 
     def moments(self, pairs: Pairs) -> Moments:
         """Moments of [Theta(k) | learned columns of psi(k+1)] (:func:`pair_moments`)."""
         if self.known is not None and self.known[0] is pairs:
             return self.known[1]
-        return pair_moments(self.theta, pairs)
+        return pair_moments(self.theta, pairs, self.equilibria)
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,17 @@ class Splitting(Protocol):
         """A function alpha -> fit for these pairs."""
 
 
-def pair_moments(theta: Dictionary, pairs: Pairs) -> Moments:
+def pair_moments(theta: Dictionary, pairs: Pairs, equilibria: tuple[Array, Array] | None = None) -> Moments:
     """Moments of [Theta(k) | learned columns of psi(k+1)] (M + S columns), accumulated in blocks."""
-    return accumulate(np.hstack([theta.evaluate(b), theta.next_learned(b)]) for b in pairs.blocks())
+
+    def blocks() -> Iterator[Array]:
+        for b in pairs.blocks():
+            yield np.hstack([theta.evaluate(b), theta.next_learned(b)])
+        if equilibria is not None:
+            x, u = equilibria
+            yield np.hstack([theta.evaluate_static(x, u), theta.present(x)[:, theta.learned_columns]])
+
+    return accumulate(blocks())
 
 
 class Direct:
