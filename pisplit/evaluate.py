@@ -74,13 +74,7 @@ def rollout_errors(
     the errors of the states before they are squared. Episodes of equal length are rolled out side by side.
     Raises ValueError for episodes of other sizes or another time step, or shorter than the model's delays.
     """
-    if (episodes.n_states, episodes.n_inputs) != (model.n_states, model.n_inputs):
-        raise ValueError(
-            f"the episodes have {episodes.n_states} states and {episodes.n_inputs} inputs; "
-            f"the model {model.n_states} and {model.n_inputs}"
-        )
-    if abs(episodes.dt - model.dt) > 1e-9 * model.dt:
-        raise ValueError(f"the episodes have dt = {episodes.dt:g} s; the model was fitted for {model.dt:g} s")
+    check_same_system(model, episodes)
     chosen = state_indices(model, states)
     weight = np.ones(len(chosen)) if weights is None else np.asarray(weights)[chosen]
     starts = [episodes.start(i, model.n_delays) for i in range(len(episodes))]
@@ -98,6 +92,17 @@ def rollout_errors(
                 diverged[i] = True
                 squared[i][max(at - 1, 0) :] = np.inf
     return RolloutErrors(squared=tuple(squared), diverged=diverged)
+
+
+def check_same_system(model: LiftedModel, episodes: Episodes) -> None:
+    """Raises ValueError if the episodes have other sizes or another time step than the model."""
+    if (episodes.n_states, episodes.n_inputs) != (model.n_states, model.n_inputs):
+        raise ValueError(
+            f"the episodes have {episodes.n_states} states and {episodes.n_inputs} inputs; "
+            f"the model {model.n_states} and {model.n_inputs}"
+        )
+    if abs(episodes.dt - model.dt) > 1e-9 * model.dt:
+        raise ValueError(f"the episodes have dt = {episodes.dt:g} s; the model was fitted for {model.dt:g} s")
 
 
 def state_indices(model: LiftedModel, states: str | Sequence[int] | Sequence[str] | None) -> NDArray[np.int64]:

@@ -1,0 +1,118 @@
+"""Errors of roll-outs: by horizon, over the amount of data, of several models."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
+from pisplit import observables as ob
+from pisplit.comparison import compare, learning_curve
+from pisplit.horizon import horizon_errors
+from pisplit.models import systems
+
+Array = NDArray[np.float64]
+A, B = np.array([[0.95, 0.1], [-0.1, 0.95]]), np.array([[0.0], [0.1]])
+
+
+def episodes(count: int = 6, steps: int = 40, seed: int = 0, growth: float = 1.0) -> Episodes:
+    rng = np.random.default_rng(seed)
+    xs, us = [], []
+    for _ in range(count):
+        u, x = rng.normal(size=(steps, 1)), np.empty((steps + 1, 2))
+        x[0] = rng.normal(size=2)
+        for k in range(steps):
+            x[k + 1] = growth * A @ x[k] + B @ u[k]
+        xs.append(x)
+        us.append(u)
+    return Episodes(xs, us, 0.1, state_names=("p", "q"), units=("m", "m/s"))
+
+
+def plain(alpha: float = 0.0) -> LinearEDMDc:
+    return LinearEDMDc(Dictionary(ob.Identity(), n_states=2, n_inputs=1), alpha=alpha)
+
+
+def test_errors_by_horizon_are_those_of_a_wrong_model_in_closed_form() -> None:
+    data = episodes()
+    model = plain().fit(data).lifted
+    exact = horizon_errors(model, data, [1, 5, 20])
+    assert exact.normalised.max() < 1e-12 and exact.starts == 6 * 21 and exact.units == ("m", "m/s")
+    shifted = replace(model, c=np.array([0.1, 0.0]))
+    found = horizon_errors(shifted, data, [3, 1], stride=4)
+    power = [np.array([0.1, 0.0]), sum(np.linalg.matrix_power(A, k) for k in range(3)) @ np.array([0.1, 0.0])]
+    np.testing.assert_array_equal(found.horizons, [1, 3])
+    np.testing.assert_allclose(found.rms, np.abs(power), atol=1e-12)
+    spread = data.stacked_states().std(axis=0)
+    np.testing.assert_allclose(found.normalised, np.sqrt(((np.abs(power) / spread) ** 2).mean(axis=1)), atol=1e-12)
+    assert horizon_errors(shifted, data, [1], states=["q"]).names == ("q",)
+
+
+def test_divergence_is_infinite_not_large() -> None:
+    data = episodes()
+    model = plain().fit(data).lifted
+    wild = replace(model, A=30.0 * np.eye(2))
+    found = horizon_errors(wild, data, [1, 30])
+    assert np.isfinite(found.rms[0]).all() and np.isinf(found.rms[1]).all()
+    np.testing.assert_array_equal(found.diverged, [0.0, 1.0])
+    table = compare({"good": model, "wild": wild}, data, horizons=[1, 30])
+    assert "100.0 %" in str(table) and "inf" in str(table)
+    figures = json.loads(json.dumps(table.as_dict(), allow_nan=False))
+    assert figures["wild"]["diverged"] == 1.0 and figures["wild"]["normalised"]["30"] is None
+    assert figures["good"]["median"] < 1e-20 and figures["good"]["diverged"] == 0.0
+
+
+def test_estimators_and_their_models_compare_alike() -> None:
+    data = episodes()
+    estimator = plain(1e-2).fit(data)
+    table = compare({"estimator": estimator, "model": estimator.lifted}, data, states=["p"]).as_dict()
+    assert table["estimator"] == table["model"] and "normalised" not in table["model"]
+    with pytest.raises(ValueError, match="'new' is not fitted"):
+        compare({"new": plain()}, data)
+
+
+def test_learning_curves_have_quartiles_over_seeds_and_leave_the_estimators_alone() -> None:
+    data, test = episodes(), episodes(seed=9)
+    noisy = Episodes([x + 0.02 * np.random.default_rng(1).normal(size=x.shape) for x in data.xs], data.us, 0.1)
+    estimators = {"least squares": plain(), "ridge": plain(1e-2)}
+    curve = learning_curve(estimators, noisy, test, [8, 200], seeds=range(5))
+    assert not hasattr(estimators["ridge"], "lifted")
+    errors = curve.errors["least squares"]
+    assert errors.shape == (2, 5) and len(set(errors[0])) == 5
+    assert curve.quantile("least squares", 0.5)[1] < curve.quantile("least squares", 0.5)[0]
+    assert (curve.quantile("ridge", 0.25) <= curve.quantile("ridge", 0.75)).all()
+    assert json.loads(json.dumps(curve.as_dict(), allow_nan=False))["sizes"] == [8, 200]
+    assert "least squares" in str(curve)
+    again = learning_curve({"ridge": plain(1e-2)}, noisy, test, [8], seeds=[3])
+    assert again.errors["ridge"][0, 0] == curve.errors["ridge"][0, 3]
+
+
+def test_learning_curves_give_phase_samples_to_those_who_want_them() -> None:
+    system, rng = systems.slow_manifold(), np.random.default_rng(0)
+    u = 0.1 * rng.normal(size=(400, 1))
+    d1 = Episodes([system.simulate([0.3, 0.7], u, 1e-2)], [u], 1e-2)
+    d2 = PhaseSamples.from_system(system, rng.uniform(-1, 1, (100, 2)), np.zeros((100, 1)))
+    theta = Dictionary(ob.Constant(), ob.Identity(), n_states=2, n_inputs=1)
+    split = PIEDMDc(theta, alpha=1e-6, penalty="ridge", toward="identity")
+    curve = learning_curve({"split": split, "plain": LinearEDMDc(theta)}, d1, d1, [16], seeds=[0], d2=d2)
+    assert np.isfinite(curve.errors["split"]).all() and not curve.refusals
+    refused = learning_curve({"split": split}, d1, d1, [16], seeds=[0])
+    assert np.isinf(refused.errors["split"]).all() and "give d2" in refused.refusals[0][3]
+
+
+def test_bad_questions_are_refused_in_one_line() -> None:
+    data = episodes()
+    model = plain().fit(data).lifted
+    for build, message in (
+        (lambda: horizon_errors(model, data, []), "horizons is empty"),
+        (lambda: horizon_errors(model, data, [41]), "the longest has 40"),
+        (lambda: horizon_errors(model, data, [1], stride=0), "stride"),
+        (lambda: compare({}, data), "models is empty"),
+        (lambda: learning_curve({}, data, data, [4]), "at least one"),
+        (lambda: learning_curve({"a": plain()}, data, data, [1000]), "hold 240"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build()
