@@ -13,11 +13,14 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from pisplit.checks import Array, finite_array
+from pisplit.models.rod.boundary import HeldEquilibrium, HeldTip
+from pisplit.models.rod.continuation import follow
+from pisplit.models.rod.inverse import InverseSolution, inverse
 from pisplit.models.rod.scene import Scene
+from pisplit.models.rod.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 
 #: Largest scaled residual (parts of EI/L) of a state that counts as an equilibrium.
 TOLERANCE = 1e-8
-CONTINUATION_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -189,6 +192,94 @@ class Statics:
         tensions = np.asarray(readings(self._strains(found).T, rows.T)[0]).T if readings else np.empty((0, 0))
         return EquilibriumBatch(states, worst <= TOLERANCE, worst, tensions)
 
+    def sweep(self, inputs: ArrayLike) -> EquilibriumBatch:
+        """Equilibria along a path of ``inputs`` (N, n_inputs): each starts where the tangent of the last one leads.
+
+        This follows one branch of equilibria; a row that fails is flagged and the next starts from the last good one.
+        """
+        scene = self.scene
+        rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
+        found, tensions = np.empty((len(rows), scene.n_strains)), []
+        worst = np.empty(len(rows))
+        x, before = np.zeros(scene.n_strains), None
+        for k, u in enumerate(rows):
+            guess = x if before is None else x + self._along(x, before, u - before)
+            found[k] = _attempt(self.newton, guess, u)
+            worst[k] = self._worst(found[k], u)
+            if worst[k] > TOLERANCE:
+                found[k], _, _ = self._search(u, x)
+                worst[k] = self._worst(found[k], u)
+            if worst[k] <= TOLERANCE:
+                x, before = found[k], u
+            tensions.append(self._read(found[k], u)[0])
+        states = np.hstack([self._strains(found), np.zeros_like(found), rows])
+        return EquilibriumBatch(states, worst <= TOLERANCE, worst, np.array(tensions))
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        """``(x, u) -> `` derivatives of the scaled residual with respect to both."""
+        x, u, load, residual = self._graph
+        residual = ca.substitute(residual, load, ca.SX(1))
+        return ca.Function("slopes", [x, u], [ca.jacobian(residual, x), ca.jacobian(residual, u)], {"cse": True})
+
+    def _along(self, x: Array, u: Array, change: Array) -> Array:
+        """Change of the scaled unknowns with the inputs, to first order."""
+        of_x, of_u = (np.asarray(v) for v in self._slopes(x, u))
+        try:
+            return np.asarray(-np.linalg.solve(of_x, of_u @ change), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return np.zeros_like(x)
+
+    # What an equilibrium depends on ----------------------------------------------------------------------------------
+
+    def sensitivity(self, state: ArrayLike, s: float | None = None) -> PoseSensitivity:
+        """Tendon Jacobian and compliance of the pose at arclength ``s`` in m (the tip), at an equilibrium state."""
+        s = self.scene.rod.length if s is None else float(s)
+        tangents: dict[float, Tangent] = self.__dict__.setdefault("_tangents", {})
+        if s not in tangents:
+            tangents[s] = Tangent(self.scene, s)
+        return tangents[s].sensitivity(checked_state(self.scene, state))
+
+    def stability(self, state: ArrayLike) -> Stability:
+        """Stability of an equilibrium state: see ``Stability``."""
+        return stability(self.scene, checked_state(self.scene, state))
+
+    def inverse(
+        self,
+        target: ArrayLike,
+        limits: ArrayLike | None = None,
+        start: ArrayLike | None = None,
+        tolerance: float = 1e-8,
+    ) -> InverseSolution:
+        """Inputs that bring the tip to ``target`` (3,) in m; NaN leaves a coordinate free.
+
+        Gauss-Newton with the exact Jacobian from ``start`` (zeros when not given): of all inputs that do, those found
+        by smallest steps. Targets out of reach are flagged, never raised.
+
+        Args:
+            target: coordinates of the tip in world axes.
+            limits: (low, high) for all inputs or (2, n_inputs).
+            start: inputs to start from, e.g. the pretension of the tendons.
+            tolerance: of the position in parts of the length.
+        """
+        return inverse(self, target, limits, start, tolerance)
+
+    def hold_tip(
+        self, position: ArrayLike, rotation: ArrayLike | None = None, u: ArrayLike | None = None
+    ) -> HeldEquilibrium:
+        """Equilibrium with the tip held at ``position`` (3,) in m and, when given, ``rotation`` (3, 3).
+
+        The tip is moved there from the free equilibrium on a straight way, so that one branch is followed; a place that
+        cannot be reached is flagged, never raised.
+        """
+        inputs = np.zeros(self.scene.n_inputs) if u is None else u
+        free = self.solve(inputs)
+        held: dict[bool, HeldTip] = self.__dict__.setdefault("_held", {})
+        turned = rotation is not None
+        if turned not in held:
+            held[turned] = HeldTip(self.scene, turned)
+        return held[turned].solve(free.state[2 * self.scene.n_strains :], position, rotation, free.state)
+
     def _affine_guess(self, rows: Array) -> Callable[[Array], Array]:
         """A guess affine in u, fitted to the equilibria of the first rows: a third of a zero guess's iterations."""
         n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
@@ -212,17 +303,16 @@ class Statics:
             x = _attempt(solver, x0, u)
             if self._worst(x, u) <= TOLERANCE:
                 return x, _iterations(solver) if name == "newton" else None, name
-        for steps in (CONTINUATION_STEPS, 4 * CONTINUATION_STEPS, 16 * CONTINUATION_STEPS):
-            x = np.zeros_like(x0)
-            total = 0
-            for load in np.linspace(0.0, 1.0, steps + 1)[1:]:
-                x = _attempt(self._continuation, x, u, load)
-                total += _iterations(self._continuation)
-                if not np.all(np.isfinite(x)):
-                    break
-            if self._worst(x, u) <= TOLERANCE:
-                break
-        return (x if np.all(np.isfinite(x)) else x0), total, "continuation"
+        total = 0
+
+        def at_load(load: float, guess: Array) -> Array | None:
+            nonlocal total
+            x = _attempt(self._continuation, guess, u, load)
+            total += _iterations(self._continuation)
+            return x if np.all(np.isfinite(x)) else None
+
+        x, _ = follow(at_load, np.zeros_like(x0))
+        return x, total, "continuation"
 
     def _worst(self, x: Array, u: Array) -> float:
         g = np.abs(np.asarray(self.scene.native(self.residual_function)(x, u)))
