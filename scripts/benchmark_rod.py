@@ -10,6 +10,8 @@ nodes, in parts of the largest travel of the tip. Static solves and their peer a
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -29,7 +31,7 @@ STRAINS = {"soft": "cosserat", "steel": "kirchhoff"}
 GOALS = {"soft": (3e-4, 5.0), "steel": (1e-3, 500.0)}
 
 
-def settings(case: Case, quick: bool) -> list[tuple[int, float]]:
+def settings(quick: bool) -> list[tuple[int, float]]:
     """Nodes and tolerances of our runs."""
     if quick:
         return [(3, 1e-3), (4, 3e-4), (4, 1e-4), (5, 1e-4), (6, 1e-4)]
@@ -40,13 +42,14 @@ def measure(case: Case, quick: bool) -> list[tuple[Run, float]]:
     """All runs of a case with their errors."""
     strains = STRAINS[case.name]
     reference = run_reference(case, strains, 6, 1e-5) if quick else run_reference(case, strains, 8, 1e-6)
-    jobs = [lambda k=k, rtol=rtol: run_pisplit(case, strains, k, rtol) for k, rtol in settings(case, quick)]
+    jobs: list[Callable[[], Run]] = []
+    jobs += [partial(run_pisplit, case, strains, *setting) for setting in settings(quick)]
     if not quick:
-        jobs += [lambda k=k, r=r: run_pisplit(case, strains, k, r, True) for k in (4, 5) for r in (3e-4, 1e-4, 3e-5)]
+        jobs += [partial(run_pisplit, case, strains, k, r, True) for k in (4, 5, 6) for r in (3e-4, 1e-4, 3e-5)]
     short = 4 if quick and case is STEEL else None
-    jobs += [lambda n=n: run_elastica(case, n, short) for n in ((20, 50) if quick else (10, 20, 50, 100))]
+    jobs += [partial(run_elastica, case, n, short) for n in ((20, 50) if quick else (10, 20, 50, 100))]
     if not (quick and case is STEEL):
-        jobs += [lambda n=n: run_lines(case, n, 1e-4) for n in ((10,) if quick else (10, 20, 40))]
+        jobs += [partial(run_lines, case, n, 1e-4) for n in ((10,) if quick else (10, 20, 40))]
     runs = [job() for job in tqdm(jobs, desc=f"{case.name} rod", unit="run")]
     return [(run, error(run, reference)) for run in runs]
 

@@ -125,7 +125,7 @@ def run_elastica(case: Case, elements: int, outputs: int | None = None) -> Run:
     """
     import elastica as ea
 
-    class System(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):  # type: ignore[misc]
+    class System(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
         pass
 
     step = case.length / (elements - 0.5)

@@ -1,0 +1,178 @@
+"""What each part of a scene costs: from a plane rod without tendons to everything, in one run.
+
+CPU time per 0.03 s simulated (virtual machine of CasADi; with ``--compiled`` also machine code) and instruction counts
+of residual and Jacobian. Every scene follows the same plan from its own rest: tendons or, without them, the tip force
+that bends the rod as much.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from report import Report, parser
+from tqdm import tqdm
+
+from pisplit.models import rod
+
+DT = 0.03
+NODES = 4
+#: Finer tolerance of the runs that the errors are measured against.
+EXACT = 1e-8
+LENGTH, OFFSET = 0.7144, 15.06e-3
+SECTION = rod.Circle(0.675e-3)
+MATERIAL = rod.Elastic(207e9, 207e9 / 2.6, 33249.0)
+Row = dict[str, Any]
+
+
+def scenes() -> dict[str, rod.Scene]:
+    """The paper's backbone with more and more on it."""
+    gravity = rod.Gravity((-9.81, 0.0, 0.0))
+    damping = rod.KelvinVoigt(bending=5e-4, torsion=5e-4, shear=5.0, stretch=50.0)
+    drag = rod.QuadraticDrag(1e-4)
+    force = rod.TipWrench(force=rod.Input("force", 3))
+    pair = rod.Tendons([(OFFSET, 0.0), (-OFFSET, 0.0)], rod.Displacement(1e-4))
+    three = rod.Tendons.parallel(OFFSET, (0, 120, 240), rod.Displacement(1e-4))
+
+    def made(strains: str, *terms: Any) -> rod.Scene:
+        return rod.Scene(rod.Rod(LENGTH, SECTION, MATERIAL, strains), damping, force, *terms, nodes=NODES)
+
+    return {
+        "plane": made("planar"),
+        "plane, gravity": made("planar", gravity),
+        "plane, gravity, drag": made("planar", gravity, drag),
+        "plane, gravity, drag, 2 tendons": made("planar", gravity, drag, pair),
+        "space": made("kirchhoff"),
+        "space, gravity": made("kirchhoff", gravity),
+        "space, gravity, drag": made("kirchhoff", gravity, drag),
+        "space, gravity, drag, 3 tendons": made("kirchhoff", gravity, drag, three),
+        "space, shear and stretch": made("cosserat"),
+        "everything": made("cosserat", gravity, drag, three),
+    }
+
+
+def commands(scene: rod.Scene, steps: int) -> np.ndarray:
+    """Slow ramps of the tip force, or of the tendons, which bend the rod about as much."""
+    t = DT * np.arange(1, steps + 1)
+    wave = np.stack([np.sin(2.0 * t), np.sin(3.1 * t)], axis=1)
+    u = np.zeros((steps, scene.n_inputs))
+    tendons = [term for term in scene.terms if isinstance(term, rod.Tendons)]
+    if tendons:
+        points = np.array([point for point in tendons[0].offsets if not callable(point)]) / OFFSET
+        u[:, 3:] = 1e-3 + 0.008 * wave @ points.T
+    else:
+        u[:, :2] = 0.05 * wave
+        if scene.rod.strain_set.planar:
+            u[:, 1] = 0.0
+    return u
+
+
+def measure(scene: rod.Scene, steps: int, rtol: float, compiled: bool, repeats: int) -> Row:
+    """Median time per interval, error of the tip in parts of L, and sizes."""
+    rest = scene.statics().solve().state
+    u = commands(scene, steps)
+    simulator = scene.simulator(DT, rtol=rtol)
+    run = simulator.run(u, rest)
+    exact = scene.simulator(DT, rtol=EXACT).run(u, rest)
+    off = np.linalg.norm(run.fields(1)[:, 0, :3] - exact.fields(1)[: len(run.t), 0, :3], axis=1).max() / LENGTH
+    cost = scene.cost().total
+    row: Row = {
+        "vm": _median_time(simulator, u, rest, repeats),
+        "error": float(off) if run.success and exact.success else float("nan"),
+        "steps": run.stats["nsteps"] / steps,
+        "states": scene.n_states,
+        "residual": cost.residual,
+        "jacobian": cost.jacobian,
+    }
+    if compiled:
+        row["compiled"] = _median_time(scene.compile(stations=1).simulator(DT, rtol=rtol), u, rest, repeats)
+    return row
+
+
+def _median_time(simulator: Any, u: np.ndarray, rest: np.ndarray, repeats: int) -> float:
+    """Milliseconds of CPU time per interval, the first run left out."""
+    simulator.run(u, rest)
+    seconds = []
+    for _ in range(repeats):
+        before = time.process_time()
+        simulator.run(u, rest)
+        seconds.append(time.process_time() - before)
+    return 1e3 * float(np.median(seconds)) / len(u)
+
+
+def table(rows: dict[str, Row]) -> str:
+    """One line a scene."""
+    compiled = "compiled" in next(iter(rows.values()))
+    head = f"{'ms per 0.03 s':<34}{'VM':>8}" + (f"{'C':>8}" if compiled else "")
+    lines = [head + f"{'steps':>8}{'error/L':>10}{'states':>8}{'residual':>10}{'Jacobian':>10}"]
+    for name, r in rows.items():
+        times = f"{r['vm']:>8.3f}" + (f"{r['compiled']:>8.3f}" if compiled else "")
+        sizes = f"{r['steps']:>8.1f}{r['error']:>10.1e}{r['states']:>8}{r['residual']:>10}{r['jacobian']:>10}"
+        lines.append(f"{name:<34}{times}{sizes}")
+    return "\n".join(lines)
+
+
+def draw(rows: dict[str, Row], path: Path) -> None:
+    """Bars of time beside bars of instructions."""
+    names = list(rows)[::-1]
+    figure, axes = plt.subplots(1, 2, figsize=(13.0, 5.2), sharey=True, constrained_layout=True)
+    places = np.arange(len(names))
+    kinds = [k for k in ("vm", "compiled") if k in rows[names[0]]]
+    height = 0.8 / len(kinds)
+    for i, kind in enumerate(kinds):
+        label, colour = {"vm": ("virtual machine", "#1b6ca8"), "compiled": ("machine code", "#0f9d76")}[kind]
+        at = places + 0.4 - height * (i + 0.5)
+        bars = axes[0].barh(at, [rows[n][kind] for n in names], height=height, color=colour, label=label)
+        axes[0].bar_label(bars, fmt="%.2f", padding=3, fontsize=8)
+    axes[0].set_yticks(places, names)
+    axes[0].set(xlabel="CPU time (ms per 0.03 s simulated)")
+    axes[0].legend(frameon=False, loc="lower right")
+    for kind, colour, shift in (("residual", "#d98c3f", 0.2), ("jacobian", "#7d5ba6", -0.2)):
+        axes[1].barh(places + shift, [rows[n][kind] for n in names], height=0.38, color=colour, label=kind)
+    axes[1].set(xlabel="instructions", xscale="log")
+    axes[1].legend(frameon=False, loc="lower right")
+    for axis in axes:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(axis="x", alpha=0.25)
+        axis.set_axisbelow(True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def main() -> None:
+    made = parser(__doc__ or "")
+    made.add_argument(
+        "--compiled", action="store_true", help="also as machine code (compiles for minutes the first time)"
+    )
+    made.add_argument("--rtol", type=float, default=1e-4, help="relative tolerance of the timed runs")
+    arguments = made.parse_args()
+    steps, repeats = (40, 3) if arguments.quick else (200, 7)
+    report = Report.of("cost of scenes", arguments)
+    rows = {}
+    for name, scene in tqdm(scenes().items(), desc="scenes", unit="scene"):
+        rows[name] = measure(scene, steps, arguments.rtol, arguments.compiled, repeats)
+        target = ("<=", 0.3) if name == "plane" else None
+        report.figure(name, rows[name]["vm"], "ms per 0.03 s", target)
+        if arguments.compiled:
+            report.figure(f"{name}, compiled", rows[name]["compiled"], "ms per 0.03 s")
+        for kind in ("residual", "jacobian"):
+            report.figure(f"{name}, {kind}", rows[name][kind], "instructions")
+        report.figure(f"{name}, error", rows[name]["error"], "L")
+    print(table(rows))
+    print(f"everything costs {rows['everything']['vm'] / rows['plane']['vm']:.0f} times the plane rod without tendons")
+    draw(rows, arguments.out / "benchmark_scenes.png")
+    report.write(arguments.json)
+
+
+if __name__ == "__main__":
+    main()
