@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
 
-from pisplit.checks import Array, finite_array
+from pisplit.checks import Array, finite_array, positive
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -33,6 +34,33 @@ class Linearisation:
         """Eigenvalues of A in 1/s, slowest first."""
         values = np.linalg.eigvals(self.A).astype(np.complex128)
         return values[np.argsort(np.abs(values))]
+
+    def discretise(self, dt: float) -> DiscreteLinearisation:
+        """Exact step of ``dt`` seconds under inputs that move linearly from one command to the next.
+
+        One exponential of the equations with ``u`` and ``dt u_t`` as further states (Van Loan, IEEE Trans. Automatic
+        Control 1978).
+        """
+        n, m, step = len(self.A), self.B.shape[1], positive(dt, "dt", "s")
+        augmented = np.zeros((n + 2 * m, n + 2 * m))
+        augmented[:n, :n], augmented[:n, n : n + m] = step * self.A, step * self.B
+        augmented[n : n + m, n + m :] = np.eye(m)
+        whole = expm(augmented)
+        ramp = whole[:n, n + m :]
+        return DiscreteLinearisation(whole[:n, :n], whole[:n, n : n + m] - ramp, ramp, step)
+
+
+@dataclass(frozen=True)
+class DiscreteLinearisation:
+    """``x+ = A x + B_before u_k-1 + B u_k``, deviations from the state, first-order hold over ``dt`` seconds.
+
+    With zero-order hold of ``u_k`` the input matrix is ``B_before + B``.
+    """
+
+    A: Array
+    B_before: Array
+    B: Array
+    dt: float
 
 
 def linearise(scene: Scene, state: ArrayLike) -> Linearisation:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pisplit.models.rod.energy import Energies
     from pisplit.models.rod.fields import Fields
     from pisplit.models.rod.linear import Linearisation
+    from pisplit.models.rod.modes import Modes
     from pisplit.models.rod.statics import Statics
     from pisplit.models.rod.stepper import Stepper
 
@@ -337,6 +338,12 @@ class Scene:
         from pisplit.models.rod.linear import linearise
 
         return linearise(self, state)
+
+    def modes(self, state: ArrayLike, number: int | None = None) -> Modes:
+        """Natural frequencies, damping and shapes of the slowest modes about an equilibrium state: see ``Modes``."""
+        from pisplit.models.rod.modes import modes
+
+        return modes(self, state, number)
 
     def fields(self, x: ArrayLike, stations: int | ArrayLike = 6) -> Array:
         """The 24 fields (p, R, v, w, q, omega) of states ``x`` (..., n_states) at S stations, (..., S, 24)."""

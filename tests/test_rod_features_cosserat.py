@@ -1,0 +1,49 @@
+"""Steel arms with free shear and stretch run with default settings, damped in full, in bending only, or not at all."""
+
+import numpy as np
+import pytest
+
+from pisplit.models import rod
+from pisplit.models.tendon_arm import TendonArm
+
+ARM = TendonArm.paper(nodes=4).scene
+BENDING = rod.KelvinVoigt(bending=5e-4, torsion=5e-4)
+
+
+def cosserat(*damping: rod.KelvinVoigt) -> rod.Scene:
+    body = rod.Rod(ARM.rod.length, ARM.rod.section, ARM.rod.material, "cosserat")
+    return rod.Scene(body, *ARM.without(rod.KelvinVoigt).terms, *damping, nodes=4)
+
+
+def commands(steps: int) -> np.ndarray:
+    t = 0.03 * np.arange(1, steps + 1)[:, None]
+    return 1e-3 + 8e-3 * np.sin(3.0 * t) * np.cos(np.array([0.0, 2.1, 4.2]) + 2.0 * t)
+
+
+def tips(scene: rod.Scene, states: np.ndarray) -> np.ndarray:
+    return scene.fields(states, [ARM.rod.length])[:, 0, :3]
+
+
+@pytest.mark.parametrize("stretch", [0.0, 50.0])
+def test_damping_of_shear_and_stretch_does_not_matter_to_the_arm(stretch: float) -> None:
+    """Defaults against tight tolerances with axial damping, 1e-3 L; axially undamped scenes fall back to order 2."""
+    full = rod.KelvinVoigt(bending=5e-4, torsion=5e-4, shear=50.0, stretch=50.0)
+    fine = cosserat(full).simulator(0.03, rtol=1e-6).run(commands(6))
+    scene = cosserat(rod.KelvinVoigt(bending=5e-4, torsion=5e-4, shear=stretch, stretch=stretch))
+    found = scene.simulator(0.03).run(commands(6))
+    assert fine.success and found.success
+    assert np.abs(tips(scene, found.x) - tips(scene, fine.x)).max() <= 1e-3 * ARM.rod.length
+
+
+def test_an_undamped_cosserat_arm_finishes() -> None:
+    trajectory = cosserat().simulator(0.03, rtol=1e-3).run(commands(3))
+    assert trajectory.success and np.isfinite(trajectory.x).all()
+
+
+def test_gauss_steps_move_it_too() -> None:
+    """Steps of 5 ms: axial waves of 5 microseconds a period are passed over, 1e-3 L."""
+    scene = cosserat(BENDING)
+    found = scene.stepper(0.03, step=5e-3).run(commands(6))
+    idas = scene.simulator(0.03).run(commands(6))
+    assert found.success and found.stats["halvings"] == 0
+    assert np.abs(tips(scene, found.x) - tips(scene, idas.x)).max() <= 1e-3 * ARM.rod.length
