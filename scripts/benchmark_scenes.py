@@ -23,11 +23,14 @@ from report import Report, parser
 from tqdm import tqdm
 
 from pisplit.models import rod
+from pisplit.models.tendon_arm import TendonArm
 
 DT = 0.03
 NODES = 4
 #: Finer tolerance of the runs that the errors are measured against.
 EXACT = 1e-8
+#: Nodes and tolerance of the paper's arm.
+ARM_SETTINGS = ((4, 1e-4), (5, 1e-4), (5, 3e-5), (6, 3e-5), (8, 1e-4), (8, 3e-5), (8, 1e-5))
 LENGTH, OFFSET = 0.7144, 15.06e-3
 SECTION = rod.Circle(0.675e-3)
 MATERIAL = rod.Elastic(207e9, 207e9 / 2.6, 33249.0)
@@ -135,11 +138,11 @@ def draw(rows: dict[str, Row], path: Path) -> None:
         axes[0].bar_label(bars, fmt="%.2f", padding=3, fontsize=8)
     axes[0].set_yticks(places, names)
     axes[0].set(xlabel="CPU time (ms per 0.03 s simulated)")
-    axes[0].legend(frameon=False, loc="lower right")
-    for kind, colour, shift in (("residual", "#d98c3f", 0.2), ("jacobian", "#7d5ba6", -0.2)):
-        axes[1].barh(places + shift, [rows[n][kind] for n in names], height=0.38, color=colour, label=kind)
+    axes[0].legend(frameon=False, loc="upper right")
+    for size, colour, shift in (("residual", "#d98c3f", 0.2), ("jacobian", "#7d5ba6", -0.2)):
+        axes[1].barh(places + shift, [rows[n][size] for n in names], height=0.38, color=colour, label=size)
     axes[1].set(xlabel="instructions", xscale="log")
-    axes[1].legend(frameon=False, loc="lower right")
+    axes[1].legend(frameon=False, loc="upper right")
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="x", alpha=0.25)
@@ -149,11 +152,41 @@ def draw(rows: dict[str, Row], path: Path) -> None:
     plt.close(figure)
 
 
+def paper_arm(report: Report, compiled: bool, quick: bool, seed: int) -> list[str]:
+    """The paper's arm under random ramps of its tendons: nodes and tolerance against error, by kind of evaluation."""
+    steps = 40 if quick else 200
+    arm = TendonArm.paper()
+    rng = np.random.default_rng(seed)
+    knots = arm.amplitude * rng.uniform(-1.0, 1.0, (steps // 8 + 2, 2)) @ arm.differential_basis.T
+    at = np.arange(1, steps + 1) / 8.0
+    u = arm.pretension + np.stack([np.interp(at, np.arange(len(knots)), k) for k in knots.T], axis=1)
+
+    def rest(scene: rod.Scene) -> np.ndarray:
+        return scene.statics().solve(arm.rest_inputs).state
+
+    fine = TendonArm.paper(nodes=10 if quick else 14).scene
+    exact = fine.simulator(DT, rtol=1e-7).run(u, rest(fine)).fields(1)[:, 0, :3]
+    lines = [f"{'paper arm, ms per 0.03 s':<34}{'VM':>8}{'C':>8}{'error/L, max':>14}{'median':>10}"]
+    for nodes, rtol in ((5, 1e-4),) if quick else ARM_SETTINGS:
+        scene = TendonArm.paper(nodes).scene
+        start, simulator = rest(scene), scene.simulator(DT, rtol=rtol)
+        off = np.linalg.norm(simulator.run(u, start).fields(1)[:, 0, :3] - exact, axis=1) / LENGTH
+        times = {"VM": _median_time(simulator, u, start, 5)}
+        if compiled:
+            times["compiled"] = _median_time(scene.compile(stations=1).simulator(DT, rtol=rtol), u, start, 5)
+        name = f"K={nodes}, rtol {rtol:.0e}"
+        code = times.get("compiled", float("nan"))
+        lines.append(f"{name:<34}{times['VM']:>8.3f}{code:>8.3f}{off.max():>14.1e}{np.median(off):>10.1e}")
+        for kind, ms in times.items():
+            bound = 4.0 if kind == "VM" else 1.5
+            report.figure(f"paper arm, {name}, {kind}", ms, "ms per 0.03 s", ("<=", bound) if nodes == 5 else None)
+        report.figure(f"paper arm, {name}, error", float(off.max()), "L", ("<=", 7e-4) if nodes == 5 else None)
+    return lines
+
+
 def main() -> None:
     made = parser(__doc__ or "")
-    made.add_argument(
-        "--compiled", action="store_true", help="also as machine code (compiles for minutes the first time)"
-    )
+    made.add_argument("--compiled", action="store_true", help="also as machine code (minutes, the first time)")
     made.add_argument("--rtol", type=float, default=1e-4, help="relative tolerance of the timed runs")
     arguments = made.parse_args()
     steps, repeats = (40, 3) if arguments.quick else (200, 7)
@@ -170,6 +203,8 @@ def main() -> None:
         report.figure(f"{name}, error", rows[name]["error"], "L")
     print(table(rows))
     print(f"everything costs {rows['everything']['vm'] / rows['plane']['vm']:.0f} times the plane rod without tendons")
+    print("\n".join(paper_arm(report, arguments.compiled, arguments.quick, arguments.seed)))
+    print(report)
     draw(rows, arguments.out / "benchmark_scenes.png")
     report.write(arguments.json)
 

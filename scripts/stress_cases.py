@@ -158,7 +158,7 @@ def _run(scene: rod.Scene, dt: float, u: Array, start: Array | None = None) -> d
 
 
 def _random(case: dict[str, Any]) -> dict[str, Any]:
-    """Any rod, any terms, any inputs within reason: an equilibrium under its inputs, then ten steps after its release from straight."""
+    """Any rod, terms and inputs within reason: an equilibrium under its inputs, and ten steps after release."""
     rng = np.random.default_rng(case["seed"])
 
     def log(low: float, high: float) -> float:
@@ -174,9 +174,9 @@ def _random(case: dict[str, Any]) -> dict[str, Any]:
     axial = relative * young * section.area
     steepest = 3.0 * bending / (weight * length**3)  # gravity that loads the rod like a tip force of 3 EI/L^2
     offset = radius + length * log(0.003, 0.03)
-    points = (
-        [[offset, 0.0], [-offset, 0.0]] if strains == "planar" else [[offset, 0.0], [-offset, offset], [0.0, -offset]]
-    )
+    points = [(offset, 0.0), (-offset, 0.0)]
+    if strains != "planar":
+        points = [(offset, 0.0), (-offset, offset), (0.0, -offset)]
     tension = log(0.1, 3.0) * bending / (length * offset)
     drive = rod.Displacement(0.05 * log(0.1, 10.0) * offset / length / tension) if rng.random() < 0.5 else rod.Tension()
     every: list[Any] = [

@@ -73,8 +73,8 @@ def draw(rows: list[Row], path: Path) -> None:
         _map(figure, axis, of)
         axis.set_title(f"{strains}: steps per 1/20 of a period")
     panels = {
-        "damping, cosserat": ("damping", "damping ratio of the first mode"),
-        "damping, kirchhoff": ("damping", "damping ratio of the first mode"),
+        "damping, cosserat": ("damping", "damping ratio of the first mode (leftmost: none)"),
+        "damping, kirchhoff": ("damping", "damping ratio of the first mode (leftmost: none)"),
         "control interval": ("dt", "control interval (s)"),
         "tendon pull": ("amplitude", "pull of one tendon (m)"),
         "slack and taut in turn": ("amplitude", "pull, then release (m)"),
