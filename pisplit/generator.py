@@ -93,8 +93,8 @@ def half_step(
     condition = _condition(theta, matrix)
     if condition > SINGULAR:
         warnings.warn(
-            f"cond(K_f) = {condition:.1e}: K_f^+ of the printed algorithm is meaningless; use penalty='ridge', which "
-            "minimises the residual of the composed map",
+            f"cond(K_f) = {condition:.1e}: f damps some columns to nothing within half a step, where K_f K_h K_f cannot "
+            "act; use split='hold', or else penalty='ridge', which never inverts K_f",
             stacklevel=2,
         )
     drift = equilibrium_drift(theta, samples, dt, scale, matrix)
