@@ -63,7 +63,7 @@ def compare(
     horizons: Sequence[int] = (),
     stride: int = 1,
 ) -> Comparison:
-    """Roll every fitted estimator or model out over the test episodes; ``horizons`` adds normalised errors after these."""
+    """Roll every fitted estimator or model out over the test episodes; ``horizons`` adds normalised errors."""
     if not models:
         raise ValueError("models is empty; give at least one fitted estimator or LiftedModel")
     lifted = {name: _lifted(name, model) for name, model in models.items()}
