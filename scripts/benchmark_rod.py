@@ -21,7 +21,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from report import Report, parser
+from report import Report, parser, run
 from rod_peers import SOFT, STEEL, Case, Run, error, run_elastica, run_lines, run_pisplit, run_reference
 from tqdm import tqdm
 
@@ -126,4 +126,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -21,7 +21,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from report import Report, parser
+from report import Report, parser, run
 from stress_cases import sweeps, work
 from watched import run_watched
 
@@ -146,4 +146,4 @@ def _write(path: Path, rows: list[Row]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)
