@@ -93,7 +93,7 @@ def half_step(
     condition = _condition(theta, matrix)
     if condition > SINGULAR:
         warnings.warn(
-            f"cond(K_f) = {condition:.1e}: f damps some columns to nothing within half a step, where K_f K_h K_f cannot "
+            f"cond(K_f) = {condition:.1e}: f damps some columns to nothing in half a step, where K_f K_h K_f cannot "
             "act; use split='hold', or else penalty='ridge', which never inverts K_f",
             stacklevel=2,
         )
