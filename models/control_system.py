@@ -18,7 +18,8 @@ class ControlSystem:
     """x' = f(x, u) + h(x, u) (paper, eq. linearly_separable_diffeq), f known to the identification, h not.
 
     x (n,) and u (m,) are symbols (SX or MX), ``known`` and ``unknown`` expressions (n,) in them.
-    ``known``, ``unknown`` and ``rhs`` are then CasADi Functions (x, u) -> (n,).
+    ``known``, ``unknown`` and ``rhs`` are then CasADi Functions (x, u) -> (n,). Names default to x1, u1, ...; units are
+    texts ("m/s"), empty by default.
 
     Raises ValueError if x or u is no column of symbols, or if an expression has another size or other free symbols.
     """
@@ -31,6 +32,8 @@ class ControlSystem:
         unknown: ca.SX,
         state_names: Sequence[str] | None = None,
         input_names: Sequence[str] | None = None,
+        state_units: Sequence[str] | None = None,
+        input_units: Sequence[str] | None = None,
     ) -> None:
         for symbol, what in ((x, "x"), (u, "u")):
             if not isinstance(symbol, ca.SX | ca.MX) or symbol.shape[1] != 1 or not symbol.is_valid_input():
@@ -38,6 +41,8 @@ class ControlSystem:
         self.n_states, self.n_inputs = int(x.shape[0]), int(u.shape[0])
         self.state_names = _named(state_names, "state_names", self.n_states, "x")
         self.input_names = _named(input_names, "input_names", self.n_inputs, "u")
+        self.state_units = _units(state_units, "state_units", self.n_states)
+        self.input_units = _units(input_units, "input_units", self.n_inputs)
         kind = type(x)
         self.known = _field("known", x, u, kind(known))
         self.unknown = _field("unknown", x, u, kind(unknown))
@@ -97,3 +102,10 @@ def _named(given: Sequence[str] | None, what: str, size: int, letter: str) -> tu
     if len(names) != size or len(set(names)) != size:
         raise ValueError(f"{what} = {names}; expected {size} different names")
     return names
+
+
+def _units(given: Sequence[str] | None, what: str, size: int) -> tuple[str, ...]:
+    units = ("",) * size if given is None else tuple(given)
+    if len(units) != size:
+        raise ValueError(f"{what} has {len(units)} entries; expected {size}")
+    return units
