@@ -50,7 +50,7 @@ def measure(case: Case, quick: bool) -> list[tuple[Run, float]]:
     short = 4 if quick and case is STEEL else None
     jobs += [partial(run_elastica, case, n, short) for n in ((20, 50) if quick else (10, 20, 50, 100))]
     if not (quick and case is STEEL):  # fast waves: many minutes of BDF steps on fine meshes
-        lines = (10,) if quick else (10, 20) if case is STEEL else (10, 20, 40)
+        lines = (10,) if quick or case is STEEL else (10, 20, 40)
         jobs += [partial(run_lines, case, n, 1e-4) for n in lines]
     runs = [job() for job in tqdm(jobs, desc=f"{case.name} rod", unit="run")]
     return [(run, error(run, reference)) for run in runs]
