@@ -112,7 +112,7 @@ def test_inverse_statics_finds_inputs_for_a_tip() -> None:
 
 
 def test_inverse_statics_keeps_its_limits_and_says_when_a_place_is_out_of_reach() -> None:
-    found = STATICS.inverse([0.0, 0.3, np.nan], limits=(0.0, 2e-3), start=ARM.rest_inputs)
+    found = ARM.scene.inverse([0.0, 0.3, np.nan], limits=(0.0, 2e-3), start=ARM.rest_inputs)
     assert not found.success and "out of reach" in found.message
     assert np.all((found.u >= 0.0) & (found.u <= 2e-3)) and found.error > 1e-3
     with pytest.raises(ValueError, match="target"):

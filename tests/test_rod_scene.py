@@ -23,7 +23,7 @@ def pair(offset: float = 0.015) -> rod.Tendons:
 
 def instructions(scene: rod.Scene) -> int:
     """Size of the graph of the dynamic residual."""
-    return int(scene.simulator(0.03)._balance.n_instructions())
+    return int(scene.motion_residual.n_instructions())
 
 
 def static_instructions(scene: rod.Scene) -> int:

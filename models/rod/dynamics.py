@@ -68,7 +68,7 @@ class Simulator(Propagation):
         controls = np.hstack([origin, slope, self.dt * np.arange(steps)[:, None]])
         t = self.dt * np.arange(1, steps + 1)
         moving = start[n : 2 * n]
-        accelerations = np.asarray(self.scene.acceleration(start[:n], moving, origin[0])).ravel()
+        accelerations = np.asarray(self.equations.acceleration(start[:n], moving, origin[0])).ravel()
         failure: RuntimeError | None = None
         for of_strains, of_rates, correct in STARTS:
             integrator = self._integrator(steps, correct, energy)
@@ -93,7 +93,7 @@ class Simulator(Propagation):
     @cached_property
     def _balance(self) -> ca.Function:
         """The residual with its simplified iteration matrix: see ``motion_residual``."""
-        return self.scene.native(self.scene.motion_residual)
+        return self.equations.native(self.equations.motion_residual)
 
     def _integrator(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
         key = (steps, correct_first, energy)
@@ -109,7 +109,7 @@ class Simulator(Propagation):
         y = y0 + y0' T (1 - exp(-t/T)) + deviation, the deviation truly starts with zero derivative; ``STARTS`` says
         what of y0' is carried so.
         """
-        scene = self.scene
+        scene = self.equations
         n, m = scene.n_strains, scene.n_inputs
         deviation, z = ca.MX.sym("deviation", 2 * n), ca.MX.sym("z", n)
         start = ca.MX.sym("start", 4 * n)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pisplit.models.rod.dynamics import Simulator
     from pisplit.models.rod.energy import Energies
     from pisplit.models.rod.fields import Fields
+    from pisplit.models.rod.inverse import InverseSolution
     from pisplit.models.rod.linear import Linearisation
     from pisplit.models.rod.modes import Modes
     from pisplit.models.rod.statics import Statics
@@ -332,6 +333,12 @@ class Scene:
         from pisplit.models.rod.energy import energies
 
         return energies(self, x)
+
+    def inverse(
+        self, tip: ArrayLike, limits: ArrayLike | None = None, start: ArrayLike | None = None
+    ) -> InverseSolution:
+        """Inputs that bring the tip to ``tip`` (3,) in m, NaN where free, within limits: see ``Statics.inverse``."""
+        return self.statics().inverse(tip, limits, start)
 
     def linearise(self, state: ArrayLike) -> Linearisation:
         """Linear dynamics about a state: see ``Linearisation``."""

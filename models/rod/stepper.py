@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array, positive
-from pisplit.models.rod.base import Base
 from pisplit.models.rod.energy import powers
 from pisplit.models.rod.gauss import GaussRule
 from pisplit.models.rod.trajectory import Propagation
@@ -92,9 +91,6 @@ class Stepper(Propagation):
         stations: int | ArrayLike = 6,
     ) -> None:
         super().__init__(scene, dt, stations)
-        moving_base = any(isinstance(t, Base) and (t.inputs or t.moves) for t in scene.terms)
-        if not (scene.damped or scene.rod.strain_set.planar or moving_base):
-            self.equations = scene.variational()
         self.substeps = int(np.ceil(self.dt / positive(step, "Stepper step", "s") - 1e-9))
         self.tolerance = positive(tolerance, "Stepper tolerance")
         self.stages = count(stages, "Stepper stages")

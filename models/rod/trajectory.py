@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array, positive
+from pisplit.models.rod.balance import Balance
+from pisplit.models.rod.base import Base
+from pisplit.models.rod.damping import KelvinVoigt, Retardation
 
 if TYPE_CHECKING:
     from pisplit.models.rod.energy import EnergyAccount
@@ -63,14 +66,15 @@ class Propagation(ABC):
     """A scene that moves in steps of ``dt`` seconds.
 
     Subclasses advance the state; this class turns that into trajectories (``run``) and a plant (``reset``, ``step``).
-    ``equations`` is the scene whose equations move it, the scene itself unless a subclass says otherwise.
+    ``equations`` is the scene whose equations move it: see ``equations_of_motion``.
     """
 
     #: Name of the scheme in messages.
     scheme: str
 
     def __init__(self, scene: Scene, dt: float, stations: int | ArrayLike) -> None:
-        self.scene = self.equations = scene
+        self.scene = scene
+        self.equations = equations_of_motion(scene)
         self.dt = positive(dt, f"{type(self).__name__} dt", "s")
         self.field_map = scene.field_map(stations)
         self._state: Array | None = None
@@ -174,6 +178,21 @@ class Propagation(ABC):
         if not equilibrium.success:
             raise RuntimeError(f"no rest position to start from: {equilibrium.message}")
         return equilibrium.state
+
+
+def equations_of_motion(scene: Scene) -> Scene:
+    """The scene itself, or its ``variational`` twin for a spatial rod whose bending nothing in the material damps.
+
+    Such a rod keeps its energy for so long that the usual equations would show theirs growing. A scene with a base that
+    moves stays as it is.
+    """
+    damping = [t for t in scene.terms if isinstance(t, KelvinVoigt | Retardation)]
+    bending = [c for c in scene.rod.strain_set.free if c < 2]
+    if scene.rod.strain_set.planar or all(any(t.coefficient(c) > 0.0 for t in damping) for c in bending):
+        return scene
+    if scene.balance_type is not Balance or any(isinstance(t, Base) and (t.inputs or t.moves) for t in scene.terms):
+        return scene
+    return scene.variational()
 
 
 def _reason(error: RuntimeError) -> str:
