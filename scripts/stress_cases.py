@@ -145,7 +145,7 @@ def _run(scene: rod.Scene, dt: float, u: Array, start: Array | None = None) -> d
         return {"outcome": "nan", "message": "a state is not finite"}
     if not run.success:
         good = run.message.startswith("IDAS") and "\n" not in run.message
-        return {"outcome": "failed" if good else "raised", "message": run.message, "steps": run.stats["nsteps"]}
+        return {"outcome": "failed" if good else "raised", "message": run.message, "steps": run.stats.get("nsteps")}
     tip = scene.fields(run.x, 1)[:, 0, :3]
     if not np.all(np.isfinite(tip)):
         return {"outcome": "nan", "message": "a field is not finite"}
