@@ -83,7 +83,7 @@ def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinat
         raise ValueError(
             f"rod coordinates need a rod without free shear and stretch; strains are {scene.rod.strains!r}"
         )
-    if any(isinstance(t, Base) and (t.inputs or any(t.spin)) for t in scene.terms):
+    if any(isinstance(t, Base) and (t.inputs or np.any(t.spin)) for t in scene.terms):
         raise ValueError("rod coordinates need a base that does not turn; this scene has a Base with spin or inputs")
     points = station_points(stations, scene.rod.length)
     if len(points) < scene.nodes:

@@ -118,7 +118,7 @@ class Tendons:
     ) -> Tendons:
         """Tendons on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
         points = on_circle(offset, angles_deg, "Tendons")
-        return cls([tuple(p) for p in points] or points, drive, name, end, friction)
+        return cls([tuple(p) for p in points], drive, name, end, friction)
 
     @classmethod
     def helical(
