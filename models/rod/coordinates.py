@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array
 from pisplit.models.rod.base import Base
 from pisplit.models.rod.fields import N_FIELDS, station_points
+from pisplit.models.rod.loads import Input
 from pisplit.models.rod.strains import COMPONENTS
 
 if TYPE_CHECKING:
@@ -83,7 +84,8 @@ def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinat
         raise ValueError(
             f"rod coordinates need a rod without free shear and stretch; strains are {scene.rod.strains!r}"
         )
-    if any(isinstance(t, Base) and (t.inputs or np.any(t.spin)) for t in scene.terms):
+    bases = [t for t in scene.terms if isinstance(t, Base)]
+    if any(t.inputs or isinstance(t.spin, Input) or any(t.spin) for t in bases):
         raise ValueError("rod coordinates need a base that does not turn; this scene has a Base with spin or inputs")
     points = station_points(stations, scene.rod.length)
     if len(points) < scene.nodes:
