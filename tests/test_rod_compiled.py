@@ -161,3 +161,12 @@ def test_compiled_scenes_travel_between_processes(cache: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in libraries(cache)}
     assert copy.statics().solve(PULLS[0]).success and copy.machine_code
     assert {path: path.stat().st_mtime_ns for path in libraries(cache)} == before
+
+
+@needs_compiler
+def test_undamped_rods_move_by_machine_code_too(cache: Path) -> None:
+    scene = arm("kirchhoff", nodes=2).without(rod.KelvinVoigt)
+    twin = scene.compile(stations=1).variational()
+    assert isinstance(twin, compiled.CompiledScene)
+    runs = [s.simulator(0.03).run(PULLS[:1], np.zeros(s.n_states)) for s in (scene, twin)]
+    assert twin.machine_code and np.allclose(runs[0].x, runs[1].x, rtol=1e-10, atol=1e-10)

@@ -50,6 +50,10 @@ class CompiledScene(Scene):
     def __reduce__(self) -> tuple[object, ...]:
         return _recompile, super().__reduce__()
 
+    def variational(self) -> CompiledScene:
+        """The twin that keeps energy (see ``Scene.variational``), as machine code too."""
+        return CompiledScene.of(super().variational())
+
     @property
     def machine_code(self) -> bool:
         """Whether every function asked for so far runs as machine code."""
