@@ -15,6 +15,7 @@ from pisplit import observables as ob
 from pisplit.recursive import RecursiveRegression
 from pisplit.regression import lasso, least_squares, ridge
 from pisplit.stability import limited_radius, stabilised
+from pisplit.streaming import StreamingEDMDc
 
 RNG = np.random.default_rng(0)
 A, Y = RNG.normal(size=(120, 6)) * np.logspace(0, -5, 6), RNG.normal(size=(120, 3))
@@ -116,3 +117,41 @@ def test_a_stabilised_model_does_not_diverge() -> None:
     held = stabilised(replace(model, state_range=np.ones(1)), 1.0)
     assert abs(held.rollout(np.ones(1), long).x[-1, 0]) == pytest.approx(1.0)
     assert held.provenance["spectral_radius_bound"] == 1.0
+
+
+def rotating(angle: float, seed: int, steps: int = 60) -> Episodes:
+    rng = np.random.default_rng(seed)
+    a = 0.95 * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    u, x = rng.normal(size=(steps, 1)), np.zeros((steps + 1, 2))
+    for k in range(steps):
+        x[k + 1] = a @ x[k] + np.array([0.0, 1.0]) * u[k]
+    return Episodes([x], [u], 0.1)
+
+
+THETA = Dictionary(ob.Constant(), ob.Identity(), ob.Delays(states=1, inputs=1), n_states=2, n_inputs=1)
+
+
+def test_a_streaming_model_equals_the_batch_model() -> None:
+    noisy = [rotating(0.3, seed) for seed in range(4)]
+    rng = np.random.default_rng(9)
+    noisy = [Episodes([e.xs[0] + 0.1 * rng.normal(size=e.xs[0].shape)], e.us, 0.1) for e in noisy]
+    stream = StreamingEDMDc(THETA)
+    for episode in noisy:
+        stream.update(episode)
+    batch = LinearEDMDc(THETA).fit(Episodes([e.xs[0] for e in noisy], [e.us[0] for e in noisy], 0.1)).lifted
+    np.testing.assert_allclose(stream.lifted.A, batch.A, atol=1e-9)
+    np.testing.assert_allclose(stream.lifted.B, batch.B, atol=1e-9)
+    assert stream.lifted.provenance["pairs"] == 4 * 59
+
+
+def test_a_forgetting_model_follows_a_robot_that_changes() -> None:
+    plain = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
+    stream = StreamingEDMDc(plain, forgetting=0.8, alpha=1e-10)
+    for angle in (0.3, 0.5):
+        stream.update(rotating(angle, 1, 150))
+        found = np.angle(np.linalg.eigvals(stream.lifted.A)).max()
+        assert found == pytest.approx(angle, abs=1e-5)
+    with pytest.raises(ValueError, match="no data"):
+        _ = StreamingEDMDc(plain).lifted
+    with pytest.raises(ValueError, match="another|dt = 0.2"):
+        stream.update(Episodes([np.zeros((3, 2))], [np.zeros((2, 1))], 0.2))
