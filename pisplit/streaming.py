@@ -19,8 +19,8 @@ class StreamingEDMDc:
 
     theta       dictionary
     forgetting  a pair that is j pairs old counts ``forgetting`` ** j; 1 remembers everything
-    alpha       ridge, relative to the mean diagonal of the Gram matrix of columns scaled by quantity; with forgetting it
-                keeps directions that are no longer excited from drifting
+    alpha       ridge, relative to the mean diagonal of the Gram matrix of columns scaled by quantity; with forgetting
+                it keeps directions that are no longer excited from drifting
 
     With forgetting = 1 and alpha = 0 it equals LinearEDMDc on all pairs.
     """

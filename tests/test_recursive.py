@@ -153,5 +153,5 @@ def test_a_forgetting_model_follows_a_robot_that_changes() -> None:
         assert found == pytest.approx(angle, abs=1e-5)
     with pytest.raises(ValueError, match="no data"):
         _ = StreamingEDMDc(plain).lifted
-    with pytest.raises(ValueError, match="another|dt = 0.2"):
+    with pytest.raises(ValueError, match="have dt = "):
         stream.update(Episodes([np.zeros((3, 2))], [np.zeros((2, 1))], 0.2))
