@@ -151,31 +151,31 @@ class Scene:
         """Name of every input entry."""
         return tuple(f"{i.name}[{k}]" for i in self.inputs for k in range(i.size))
 
-    @property
+    @cached_property
     def rule(self) -> Rule:
         """The collocation rule."""
         return self.rod.rule(self.element_nodes)
 
     # Scales ----------------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def nominal_strains(self) -> Array:
         """Typical size of each coordinate: 1/L for bending and torsion, 1 % for shear and stretch."""
         sizes = [1.0 / self.rod.length if c < 3 else 0.01 for c in self.rod.strain_set.free]
-        return np.tile(sizes, self.nodes)
+        return _fixed(np.tile(sizes, self.nodes))
 
-    @property
+    @cached_property
     def rest_coordinates(self) -> Array:
         """Free strains of the unloaded rod (n_strains,)."""
         rest = self.rod.profile(self.rule.nodes).rest
-        return rest[list(self.rod.strain_set.free)].T.ravel()
+        return _fixed(rest[list(self.rod.strain_set.free)].T.ravel())
 
-    @property
+    @cached_property
     def nominal_residual(self) -> Array:
         """Typical size of each residual row: EI/L for moments, EI/L^2 for forces."""
         moment = min(self.rod.stiffness[:2]) / self.rod.length
         sizes = [moment if c < 3 else moment / self.rod.length for c in self.rod.strain_set.free]
-        return np.tile(sizes, self.nodes)
+        return _fixed(np.tile(sizes, self.nodes))
 
     @property
     def damped(self) -> bool:
@@ -372,6 +372,12 @@ class Scene:
             cache[points] = Fields(self, points)
         found: Fields = cache[points]
         return found
+
+
+def _fixed(array: Array) -> Array:
+    """The array itself, which nobody can write to: it is kept and handed out again."""
+    array.flags.writeable = False
+    return array
 
 
 def _rebuild(
