@@ -1,8 +1,8 @@
 """The hold split: known and unknown generators added, inputs linear over the step, one exponential.
 
 Strang splitting kicks once a step. Where the unknown part is stiff (tendons of a loaded arm: f and h both large, and
-cancelling) one kick is a poor model of what h does over the step. Here the generators are added before the exponential, which
-is the limit of the splitting for many sub-steps:
+cancelling) one kick is a poor model of what h does over the step. Here the generators are added before the exponential,
+which is the limit of the splitting for many sub-steps:
 
     d/dt psi = L_f [psi; phi] + P H D [psi; phi],      psi_{k+1} = F psi_k + G_0 phi_{k-1} + G_1 phi_k
 
