@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from pisplit import h5
 from pisplit.checks import count
+from pisplit.compiling import Part, compile_part
 from pisplit.mapping import Mapped
-from pisplit.observables import Bilinear, Columns, Constant, Delays, Identity, Inputs, Names, Observable, States, Sum
+from pisplit.observables import Bilinear, Constant, Delays, Identity, Inputs, Names, Observable, States, Sum
 from pisplit.observables.algebra import flattened
 
 if TYPE_CHECKING:
@@ -27,15 +28,6 @@ Array = NDArray[np.float64]
 
 
 KIND = "pisplit/dictionary"
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The columns of one part (state or input) as one CasADi Function, with names and quantities."""
-
-    function: ca.Function
-    names: tuple[str, ...]
-    quantities: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -102,8 +94,8 @@ class Dictionary:
             states=any(isinstance(o, States | Identity) for o in present),
             inputs=any(isinstance(o, Inputs | Identity) for o in present),
         )
-        self._state_part = _compile("x", n_states, [o.state_columns for o in present], self.names)
-        self._input_part = _compile("u", n_inputs, [o.input_columns for o in present], self.names)
+        self._state_part = compile_part("x", n_states, [o.state_columns for o in present], self.names)
+        self._input_part = compile_part("u", n_inputs, [o.input_columns for o in present], self.names)
         self.products = np.empty(0, dtype=np.int64)
         if not self._state_part.names:
             raise ValueError("the dictionary has no column that depends on the state; add ob.States() or ob.Identity()")
@@ -349,8 +341,8 @@ class Dictionary:
         theta.observables, theta._given = (), tuple(facts["given"])
         theta.names = Names(**{name: tuple(labels) for name, labels in facts["names"].items()})
         theta._structure = _Structure(**facts["structure"])
-        theta._state_part = _Part(state, *map(tuple, facts["state_part"]))
-        theta._input_part = _Part(inputs, *map(tuple, facts["input_part"]))
+        theta._state_part = Part(state, *map(tuple, facts["state_part"]))
+        theta._input_part = Part(inputs, *map(tuple, facts["input_part"]))
         theta.products = np.array(facts["products"], dtype=np.int64)
         theta.__dict__["_fingerprint"] = fingerprint
         return theta
@@ -445,32 +437,6 @@ def _bare(theta: Dictionary) -> Dictionary:
     cached = {name for name, value in vars(Dictionary).items() if isinstance(value, cached_property)}
     copy.__dict__.update({name: value for name, value in theta.__dict__.items() if name not in cached})
     return copy
-
-
-def _compile(letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names) -> _Part:
-    """Write all columns of one part in SX, which evaluates fastest, or in MX if one of them cannot be."""
-    try:
-        return _compile_as(ca.SX, letter, size, writers, names)
-    except (RuntimeError, NotImplementedError):
-        pass
-    try:
-        return _compile_as(ca.MX, letter, size, writers, names)
-    except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise ValueError(f"an observable of {letter} ({size},) cannot be written in CasADi: {reason}") from None
-
-
-def _compile_as(
-    kind: Any, letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names
-) -> _Part:
-    symbol = kind.sym(letter, size)
-    columns = [part for part in (write(symbol, names) for write in writers) if part is not None]
-    values = ca.densify(ca.vertcat(*[part.values for part in columns])) if columns else kind(0, 1)
-    return _Part(
-        function=ca.Function(f"columns_of_{letter}", [symbol], [values]),
-        names=tuple(name for part in columns for name in part.names),
-        quantities=tuple(quantity for part in columns for quantity in part.quantities),
-    )
 
 
 def _named(given: Sequence[str] | None, what: str, default: Sequence[str]) -> tuple[str, ...]:

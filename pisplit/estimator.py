@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -43,7 +44,7 @@ class AlphaSearch:
     held_out: tuple[int, ...]
 
 
-class Estimator:
+class Estimator(ABC):
     """Base of the estimators: a subclass names its options in ``__init__`` and says how K is fitted in ``_splitting``.
 
     After ``fit``: ``lifted`` (LiftedModel), ``K_`` (learned rows of the operator, physical units), ``theta_`` (the
@@ -103,11 +104,13 @@ class Estimator:
         """Errors of open-loop roll-outs of test episodes over the chosen states (output group, names or indices)."""
         return rollout_errors(self._fitted(), episodes, states)
 
+    @abstractmethod
     def _splitting(self, context: SplitContext) -> Splitting:
-        raise NotImplementedError
+        """The splitting that fits K."""
 
+    @abstractmethod
     def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
-        raise NotImplementedError
+        """The options of this estimator as the splitting wants them."""
 
     def _dictionary(self, d1: Episodes) -> Dictionary:
         """The dictionary with the names of the data."""

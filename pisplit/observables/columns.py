@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
@@ -73,7 +74,7 @@ class Base(Combining):
         return None
 
 
-class OneSided(Base):
+class OneSided(Base, ABC):
     """An observable that writes the same columns of some variables of one side: ``of`` = "states" or "inputs".
 
     ``variables``: names or positions of the states (inputs) that it takes; None takes all.
@@ -94,8 +95,9 @@ class OneSided(Base):
             return None
         return self._write(*chosen(u, names.inputs, names.input_quantities, self.variables))
 
+    @abstractmethod
     def _write(self, v: Symbol, labels: tuple[str, ...], quantities: tuple[str, ...]) -> Columns:
-        raise NotImplementedError
+        """The columns of the chosen variables v."""
 
 
 def chosen(

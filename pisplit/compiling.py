@@ -1,0 +1,48 @@
+"""The columns of one part of a dictionary as one CasADi Function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from pisplit.observables import Columns, Names
+
+
+@dataclass(frozen=True)
+class Part:
+    """The columns of one part (state or input) as one CasADi Function, with names and quantities."""
+
+    function: ca.Function
+    names: tuple[str, ...]
+    quantities: tuple[str, ...]
+
+
+def compile_part(
+    letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names
+) -> Part:
+    """Write all columns of one part in SX, which evaluates fastest, or in MX if one of them cannot be."""
+    try:
+        return _as(ca.SX, letter, size, writers, names)
+    except (RuntimeError, NotImplementedError):
+        pass  # CasADi's two ways to say that a Function inside (a rootfinder, an interpolant) takes no SX
+    try:
+        return _as(ca.MX, letter, size, writers, names)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ValueError(f"an observable of {letter} ({size},) cannot be written in CasADi: {reason}") from None
+
+
+def _as(
+    kind: Any, letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names
+) -> Part:
+    symbol = kind.sym(letter, size)
+    columns = [part for part in (write(symbol, names) for write in writers) if part is not None]
+    values = ca.densify(ca.vertcat(*[part.values for part in columns])) if columns else kind(0, 1)
+    return Part(
+        function=ca.Function(f"columns_of_{letter}", [symbol], [values]),
+        names=tuple(name for part in columns for name in part.names),
+        quantities=tuple(quantity for part in columns for quantity in part.quantities),
+    )
