@@ -105,6 +105,7 @@ class PIEDMDc(Estimator):
         return SPLITS[self.split](context)
 
     def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
+        _check_names(theta, samples)
         return SplitContext(
             theta=theta,
             scale=scale,
@@ -118,3 +119,17 @@ class PIEDMDc(Estimator):
             generator_alpha=self.generator_alpha,
             options=self.options or {},
         )
+
+
+def _check_names(theta: Dictionary, samples: PhaseSamples | None) -> None:
+    """Raise ValueError if the phase samples name other states or inputs than the trajectories."""
+    if samples is None:
+        return
+    for given, wanted, what in (
+        (samples.state_names, theta.names.states, "states"),
+        (samples.input_names, theta.names.inputs, "inputs"),
+    ):
+        if given is not None and tuple(given) != wanted:
+            raise ValueError(
+                f"d2 names its {what} {tuple(given)[:4]}, d1 {wanted[:4]}; give both the same names in the same order"
+            )

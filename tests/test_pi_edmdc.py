@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -203,3 +204,11 @@ def test_a_missing_d2_is_refused() -> None:
     x, u = slow_manifold_run(10, 0)
     with pytest.raises(ValueError, match="PhaseSamples"):
         PIEDMDc(closed_dictionary(), alpha=0.0).fit(Episodes([x], [u], dt=STEP), x)  # type: ignore[arg-type]
+
+
+def test_phase_samples_of_another_system_are_refused_by_name() -> None:
+    x, u = slow_manifold_run(20, 0)
+    d1, d2 = Episodes([x], [u], dt=STEP), phase_samples()
+    for names in ({"state_names": ("x2", "x1")}, {"input_names": ("torque",)}):
+        with pytest.raises(ValueError, match="give both the same names in the same order"):
+            PIEDMDc(closed_dictionary()).fit(d1, replace(d2, **names))

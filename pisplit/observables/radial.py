@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.cluster.vq import kmeans2
 
 from pisplit.checks import count, finite_array, one_of, positive
 from pisplit.observables.columns import Columns, OneSided, Symbol
@@ -71,6 +70,8 @@ class Radial(OneSided):
         if one_of(method, "method", ("kmeans", "random")) == "random":
             centres = scaled[np.sort(rng.choice(len(scaled), size, replace=False))]
         else:
+            from scipy.cluster.vq import kmeans2  # half of the import time of the package, needed here alone
+
             centres, _ = kmeans2(scaled, _spread(scaled, size, rng), minit="matrix", iter=30)
         unit = _spacing(centres) if width is None else positive(width, "width")
         return cls((centres * std).tolist(), (unit * std).tolist(), kind, of, variables)
