@@ -15,7 +15,8 @@ import casadi as ca
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.checks import Array, count, finite_array, positive
+from pisplit.checks import Array, count, finite_array, one_of, positive
+from pisplit.models import rod
 from pisplit.models.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.fields import UNITS, Fields
 from pisplit.models.tendon_arm import TendonArm
@@ -25,22 +26,36 @@ from pisplit.models.tendon_arm import TendonArm
 STEPS_PER_TARGET = 16
 SAMPLES_PER_BLOCK = 500
 ATTEMPTS = 5
+#: Input laws. "zero-sum": pretension plus differential pulls, the tendons stay taut. "independent": each tendon its own
+#: displacement; slack ones leave the arm to its weight.
+LAWS = ("zero-sum", "independent")
 
 
-def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator) -> Array:
-    """Smooth random displacements (steps, m) in m: a common pretension and a differential part whose sum is zero.
+def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
+    """Smooth random displacements (steps, m) in m between random targets of ``law`` (:func:`random_targets`).
 
-    The differential part moves between random targets ``a cos(angle_i - direction)`` every 16 steps (raised cosine
-    in between); amplitudes a fill a disc of radius ``arm.amplitude`` evenly. It starts with the arm at rest.
+    A new target every 16 steps, a raised cosine in between. It starts with the arm at rest.
     """
     count(steps, "steps")
     knots = -(-steps // STEPS_PER_TARGET) + 1
-    targets = arm.rest_inputs + random_differential(arm, knots, rng)
+    targets = random_targets(arm, knots, rng, law)
     targets[0] = arm.rest_inputs
     phase = np.arange(1, steps + 1) / STEPS_PER_TARGET
     before = np.minimum(phase.astype(int), knots - 2)
     blend = 0.5 - 0.5 * np.cos(np.pi * (phase - before))[:, None]
     moves: Array = targets[before] * (1.0 - blend) + targets[before + 1] * blend
+    return moves
+
+
+def random_targets(arm: TendonArm, n: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
+    """``n`` random displacements (n, m) in m.
+
+    "zero-sum": ``arm.rest_inputs`` plus :func:`random_differential`; "independent": each tendon uniformly between
+    minus and plus ``arm.amplitude``, so that half of the tendons are slack.
+    """
+    if one_of(law, "law", LAWS) == "independent":
+        return rng.uniform(-arm.amplitude, arm.amplitude, size=(n, arm.scene.n_inputs))
+    moves: Array = arm.rest_inputs + random_differential(arm, n, rng)
     return moves
 
 
@@ -62,6 +77,7 @@ class EpisodeTask:
     rtol: float
     stations: int
     seed: int
+    law: str = "zero-sum"
 
     def __call__(self, k: int) -> Block:
         """Episode ``k``: states, inputs, fields."""
@@ -69,7 +85,7 @@ class EpisodeTask:
         failures: list[str] = []
         for attempt in range(ATTEMPTS):
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, k, attempt)))
-            commands = random_displacements(self.arm, self.steps, rng)
+            commands = random_displacements(self.arm, self.steps, rng, self.law)
             simulator.reset(self.arm.rest_inputs)
             trajectory = simulator.run(commands, simulator.state)
             if trajectory.success:
@@ -90,6 +106,7 @@ def make_episodes(
     seed: int = 0,
     workers: int = -1,
     progress: bool = True,
+    law: str = "zero-sum",
 ) -> Episodes:
     """Simulate ``episodes`` trajectories of the arm, store them at ``path`` (HDF5) and return them.
 
@@ -97,8 +114,8 @@ def make_episodes(
     states [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
     """
     count(episodes, "episodes")
-    identity = episodes_origin(arm, steps, dt, rtol, stations, seed)
-    task = EpisodeTask(arm, *(identity[name] for name in ("steps", "dt", "rtol", "stations", "seed")))
+    identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law)
+    task = EpisodeTask(arm, *(identity[name] for name in ("steps", "dt", "rtol", "stations", "seed", "law")))
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     blocks = run_blocks(task, episodes, parts, identity, workers, "episodes", progress)
@@ -118,11 +135,17 @@ def make_episodes(
 
 
 def episodes_origin(
-    arm: TendonArm, steps: int = 200, dt: float = 0.03, rtol: float = 1e-4, stations: int = 6, seed: int = 0
+    arm: TendonArm,
+    steps: int = 200,
+    dt: float = 0.03,
+    rtol: float = 1e-4,
+    stations: int = 6,
+    seed: int = 0,
+    law: str = "zero-sum",
 ) -> dict[str, Any]:
     """All that decides the episodes of ``make_episodes`` but their number; part of their provenance."""
     return {
-        **_arm_origin(arm, "episodes", stations, seed),
+        **_arm_origin(arm, "episodes", stations, seed, law),
         "steps": count(steps, "steps"),
         "steps_per_target": STEPS_PER_TARGET,
         "dt": positive(dt, "dt", "s"),
@@ -130,16 +153,18 @@ def episodes_origin(
     }
 
 
-def phase_origin(arm: TendonArm, rates: Array, stations: int = 6, seed: int = 0) -> dict[str, Any]:
+def phase_origin(
+    arm: TendonArm, rates: Array, stations: int = 6, seed: int = 0, law: str = "zero-sum"
+) -> dict[str, Any]:
     """What decides the samples of ``make_phase_samples`` but deviations; part of their provenance."""
-    return {**_arm_origin(arm, "phase", stations, seed), "rates": _digest(rates)}
+    return {**_arm_origin(arm, "phase", stations, seed, law), "rates": _digest(rates)}
 
 
 def check_origin(
     path: str | os.PathLike[str], provenance: Mapping[str, Any] | None, expected: Mapping[str, Any]
 ) -> None:
     """Raise ValueError if the data in ``path`` were made for another arm or with other settings."""
-    given = provenance or {}
+    given = {"law": LAWS[0], **(provenance or {})}
     for name, value in expected.items():
         if given.get(name) != value:
             found = f"with {name} = {given.get(name)!r}, not {value!r}"
@@ -157,16 +182,20 @@ class PhaseTask:
     shape_factor: Array | None
     stations: int
     seed: int
+    law: str = "zero-sum"
+    known: rod.Scene | None = None
+    dt: float | None = None
 
     def __call__(self, k: int) -> Block:
         """Block ``k``: fields, inputs, passive derivative of the fields."""
-        statics, derivative = _passive_derivative(self.arm, self.stations)
+        known = self.arm.passive if self.known is None else self.known
+        statics, derivative = _known_derivative(self.arm, known, self.stations)
         scene = self.arm.scene
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(2, k)))
         states, failures = np.empty((0, scene.n_states)), []
         while len(states) < self.samples:
             wanted = self.samples - len(states)
-            batch = statics.solve_many(self.arm.rest_inputs + random_differential(self.arm, wanted, rng))
+            batch = statics.solve_many(random_targets(self.arm, wanted, rng, self.law))
             failures += [f"residual {r:.1e} EI/L" for r in batch.residual[~batch.success]]
             states = np.vstack([states, batch.states[batch.success]])
             if len(failures) > ATTEMPTS * self.samples:
@@ -176,7 +205,11 @@ class PhaseTask:
             states[:, :n] += rng.standard_normal((self.samples, n)) @ self.shape_factor
         states[:, n : 2 * n] = rng.standard_normal((self.samples, n)) @ self.rate_factor
         x, xdot = (np.asarray(v).T for v in derivative.map(self.samples)(states.T))
-        return {"x": x, "u": states[:, 2 * n :], "xdot": xdot, "failures": np.array(failures, dtype=str)}
+        block = {"x": x, "u": states[:, 2 * n :], "xdot": xdot, "failures": np.array(failures, dtype=str)}
+        if self.dt is not None:
+            flown = _flow(known, states, 0.5 * self.dt)
+            block["x_half"] = scene.fields(flown, self.stations).reshape(self.samples, -1)
+        return block
 
 
 def make_phase_samples(
@@ -189,6 +222,9 @@ def make_phase_samples(
     seed: int = 0,
     workers: int = -1,
     progress: bool = True,
+    law: str = "zero-sum",
+    known: rod.Scene | None = None,
+    dt: float | None = None,
 ) -> PhaseSamples:
     """Sample the phase space of the passive arm, store the samples at ``path`` (HDF5) and return them.
 
@@ -201,25 +237,42 @@ def make_phase_samples(
         deviations: strains minus those of the equilibrium under the same inputs (N, n_strains), from trajectories.
             Their covariance is added to the static shapes. Without them D2 is the paper's: its shapes span few
             directions, and what is fitted to them is undetermined in the others.
+        law: input law of the shapes (:data:`LAWS`).
+        known: the arm as far as f knows it, without inputs (default: all but the tendons).
+        dt: time step in s; with it the samples hold the flow of f over half of it, one integration each.
     """
     count(samples, "samples")
-    identity = phase_origin(arm, rates, stations, seed)
+    identity = phase_origin(arm, rates, stations, seed, law)
+    if known is not None:
+        if known.n_inputs or known.n_strains != arm.scene.n_strains:
+            raise ValueError(
+                f"known has {known.n_strains} strains and {known.n_inputs} inputs; "
+                f"expected {arm.scene.n_strains} and none: leave terms of the arm out with arm.scene.without(...)"
+            )
+        identity["known"] = _fingerprint(known)
+    if dt is not None:
+        identity["flow"] = 0.5 * positive(dt, "dt", "s")
     n = arm.scene.n_strains
     factor = _gaussian_factor(rates, "rates", n)
     shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
-    task = PhaseTask(arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"])
+    task = PhaseTask(
+        arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"], law, known, dt
+    )
     identity["deviations"] = None if deviations is None else _digest(deviations)
     identity["block"] = task.samples
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     blocks = run_blocks(task, -(-samples // task.samples), parts, identity, workers, "phase samples", progress)
     x, u, xdot = (np.concatenate([b[name] for b in blocks])[:samples] for name in ("x", "u", "xdot"))
+    half = None if dt is None else np.concatenate([b["x_half"] for b in blocks])[:samples]
     failures = [f"block {k}: {text}" for k, block in enumerate(blocks) for text in block["failures"]]
     names = _labels(arm, arm.scene.field_map(stations))
     result = PhaseSamples(
         x,
         u,
         xdot,
+        x_half=half,
+        dt=dt,
         state_names=names["state_names"],
         input_names=names["input_names"],
         provenance={**identity, "failures": failures},
@@ -274,20 +327,24 @@ def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:
     }
 
 
-def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int) -> dict[str, Any]:
-    scene = arm.scene
-    # Twelve digits, since offsets come from cosines whose last digit depends on the machine; no addresses of functions.
-    parts = re.sub(r" at 0x[0-9a-f]+", "", repr((scene.rod, scene.terms)))
-    exact = re.sub(r"\d+\.\d+(e[+-]?\d+)?", lambda found: f"{float(found[0]):.12g}", parts)
+def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int, law: str) -> dict[str, Any]:
     return {
         "kind": kind,
-        "arm": str(scene),
-        "scene": hashlib.sha256(f"{exact}, {scene.nodes} nodes".encode()).hexdigest()[:16],
+        "arm": str(arm.scene),
+        "scene": _fingerprint(arm.scene),
         "pretension": arm.pretension,
         "amplitude": arm.amplitude,
+        "law": one_of(law, "law", LAWS),
         "stations": count(stations, "stations"),
         "seed": count(seed, "seed", 0),
     }
+
+
+def _fingerprint(scene: rod.Scene) -> str:
+    # Twelve digits, since offsets come from cosines whose last digit depends on the machine; no addresses of functions.
+    parts = re.sub(r" at 0x[0-9a-f]+", "", repr((scene.rod, scene.terms)))
+    exact = re.sub(r"\d+\.\d+(e[+-]?\d+)?", lambda found: f"{float(found[0]):.12g}", parts)
+    return hashlib.sha256(f"{exact}, {scene.nodes} nodes".encode()).hexdigest()[:16]
 
 
 def _digest(samples: Array) -> str:
@@ -300,13 +357,31 @@ def _simulator(arm: TendonArm, dt: float, rtol: float, stations: int) -> Any:
 
 
 @lru_cache(maxsize=2)
-def _passive_derivative(arm: TendonArm, stations: int) -> tuple[Any, ca.Function]:
-    """Statics of the arm, and ``state -> (fields, time derivative of the fields under the passive part)``."""
-    scene, passive = arm.scene, arm.passive
+def _known_derivative(arm: TendonArm, known: rod.Scene, stations: int) -> tuple[Any, ca.Function]:
+    """Statics of the arm, and ``state -> (fields, time derivative of the fields under the known part)``."""
+    scene = arm.scene
     n = scene.n_strains
     fields = scene.field_map(stations).function
     x = ca.MX.sym("x", scene.n_states)
-    acceleration = passive.acceleration(x[:n], x[n : 2 * n], ca.MX(passive.n_inputs, 1))
+    acceleration = known.acceleration(x[:n], x[n : 2 * n], ca.MX(known.n_inputs, 1))
     flow = ca.vertcat(x[n : 2 * n], acceleration, ca.MX.zeros(scene.n_inputs))
     y = fields(x)
-    return scene.statics(), ca.Function("passive", [x], [y, ca.jtimes(y, x, flow)])
+    return scene.statics(), ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
+
+
+def _flow(known: rod.Scene, states: Array, t: float) -> Array:
+    """States (N, n) after ``t`` seconds of the known part alone; the displacements in them stay."""
+    simulator = _flow_simulator(known, t)
+    n = 2 * known.n_strains
+    flown = states.copy()
+    for row in flown:
+        trajectory = simulator.run(np.zeros((1, 0)), row[:n])
+        if not trajectory.success:
+            raise RuntimeError(f"the flow of the known part failed: {trajectory.message}")
+        row[:n] = trajectory.x[-1, :n]
+    return flown
+
+
+@lru_cache(maxsize=2)
+def _flow_simulator(known: rod.Scene, t: float) -> Any:
+    return known.simulator(dt=t, rtol=1e-4)
