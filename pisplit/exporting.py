@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.lifted import LiftedModel
-from pisplit.modes import refuse_bilinear
+from pisplit.modal import refuse_bilinear
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import count, finite_array
 from pisplit.lifted import LiftedModel
-from pisplit.modes import refuse_bilinear
+from pisplit.modal import refuse_bilinear
 
 Array = NDArray[np.float64]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -148,3 +150,21 @@ def test_every_public_name_is_there() -> None:
         for name in package.__all__:
             assert getattr(package, name).__doc__, f"{package.__name__}.{name} says nothing"
     assert ControlSystem.__doc__
+
+
+def test_every_exported_name_exists_and_none_hides_a_module() -> None:
+    import pisplit
+
+    assert sorted(pisplit.__all__) == sorted(set(pisplit.__all__))
+    folder = Path(pisplit.__file__).parent
+    for name in pisplit.__all__:
+        assert hasattr(pisplit, name)
+        assert name == "observables" or not (folder / f"{name}.py").exists()
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    heavy = ("cvxpy", "matplotlib", "joblib", "scipy.cluster")
+    code = f"import sys, pisplit; print([m for m in {heavy} if m in sys.modules])"
+    tree = str(Path(__file__).resolve().parent.parent)
+    found = subprocess.run([sys.executable, "-c", code], cwd=tree, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pisplit import LiftedModel
-from pisplit.modes import modes
+from pisplit.modal import modes
 from pisplit.reduction import balanced_truncation
 from pisplit.sensitivity import input_jacobian, rollout_jacobian
 
