@@ -33,6 +33,7 @@ INCONSISTENT = 0.5
 AT_REST = 1e-6
 #: Largest movement of a resting sample, in scales of the columns, that goes without a warning.
 DRIFT = 0.01
+OR_RIDGE = ", or else penalty='ridge', which never inverts K_f"
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,21 @@ class HalfStep:
 
 
 def half_step(
-    theta: Dictionary, samples: PhaseSamples, dt: float, scale: Array, kind: str = "auto", alpha: float = 0.0
+    theta: Dictionary,
+    samples: PhaseSamples,
+    dt: float,
+    scale: Array,
+    kind: str = "auto",
+    alpha: float = 0.0,
+    inverted: bool = True,
 ) -> HalfStep:
     """Learn the half step of the known f from phase-space samples (paper, Algorithm 1, lines 1 and 2).
 
     ``scale`` (M,) are the column scales, ``alpha`` the ridge of this regression relative to the mean diagonal of its
     Gram matrix. "auto" takes the generator unless its eigenvalues are spurious (a half step grows by more than 10 %)
     and the flow grows less, or unless its half step misses more than half of the movement of the flow, of which the
-    flow map misses less. Warns where K_f is singular to working precision or moves a known equilibrium of f.
+    flow map misses less. Warns where K_f is singular to working precision (``inverted``: the regression of K_h will
+    invert it, which matters to the advice) or moves a known equilibrium of f.
     Raises ValueError if the flow is asked for and the samples hold none, or one of another time step.
     """
     one_of(kind, "half_step", HALF_STEPS)
@@ -94,7 +102,7 @@ def half_step(
     if condition > SINGULAR:
         warnings.warn(
             f"cond(K_f) = {condition:.1e}: f damps some columns to nothing in half a step, where K_f K_h K_f cannot "
-            "act; use split='hold', or else penalty='ridge', which never inverts K_f",
+            f"act; use split='hold'{OR_RIDGE if inverted else ''}",
             stacklevel=2,
         )
     drift = equilibrium_drift(theta, samples, dt, scale, matrix)

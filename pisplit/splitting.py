@@ -135,7 +135,13 @@ def known_half_step(context: SplitContext) -> HalfStep:
     if context.samples is None:
         raise ValueError("a splitting needs phase samples of the known vector field; give d2")
     return half_step(
-        context.theta, context.samples, context.dt, context.scale, context.half_step, context.generator_alpha
+        context.theta,
+        context.samples,
+        context.dt,
+        context.scale,
+        context.half_step,
+        context.generator_alpha,
+        inverted=context.penalty == "lasso",
     )
 
 

@@ -92,8 +92,11 @@ def test_auto_keeps_a_sound_generator() -> None:
 def test_a_singular_half_step_is_announced() -> None:
     x = RNG.normal(size=(20, 2))
     samples = PhaseSamples(x, np.zeros((20, 1)), x * np.array([-1e4, -1.0]))
-    with pytest.warns(UserWarning, match="cond"):
-        half_step(Dictionary(ob.Identity(), n_states=2, n_inputs=1), samples, 0.1, np.ones(3), "generator")
+    theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
+    with pytest.warns(UserWarning, match="cond.* or else penalty='ridge'"):
+        half_step(theta, samples, 0.1, np.ones(3), "generator")
+    with pytest.warns(UserWarning, match="use split='hold'$"):  # a ridge that is on is not advised
+        half_step(theta, samples, 0.1, np.ones(3), "generator", inverted=False)
 
 
 def test_flows_of_the_wrong_step_and_wrong_sizes_are_refused() -> None:
