@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pisplit import Episodes, PhaseSamples
+from pisplit.checks import Array
 from pisplit.models import rod
 from pisplit.models.generation import (
     check_origin,
@@ -105,6 +106,6 @@ def _samples(
     return make_phase_samples(arm, path, count, rates, seed=seed, workers=workers, progress=progress, law=law, dt=dt)
 
 
-def _checked(arm: TendonArm, path: Path, found: PhaseSamples, rates: object, seed: int, law: str) -> PhaseSamples:
+def _checked(arm: TendonArm, path: Path, found: PhaseSamples, rates: Array, seed: int, law: str) -> PhaseSamples:
     check_origin(path, found.provenance, phase_origin(arm, rates, seed=seed, law=law))
     return found
