@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.checks import non_negative, one_of
+from pisplit.checks import non_negative, one_of, positive
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.estimator import Equilibria, Estimator
@@ -32,6 +32,8 @@ class DirectEDMDc(Estimator):
     cv_tolerance  alpha="cv" takes the largest alpha whose error is within this fraction of the smallest. A few tenths
                make models for control, where margins count more than the last percent of a roll-out (in the spirit of
                the one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984)
+    max_radius  bound on the spectral radius of A (the constant apart), that of the undriven model if it is bilinear:
+               modes outside move onto the circle, others and delays stay (:func:`pisplit.bounded.limited_rows`)
     """
 
     def __init__(
@@ -44,17 +46,21 @@ class DirectEDMDc(Estimator):
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
         cv_tolerance: float = 0.0,
+        max_radius: float | None = None,
     ) -> None:
         self.theta = theta
         self.alpha = alpha
         one_of(penalty, "penalty", PENALTIES)
         non_negative(cv_tolerance, "cv_tolerance")
+        if max_radius is not None:
+            positive(max_radius, "max_radius")
         self.penalty = penalty
         self.scale = scale
         self.relative = relative
         self.alphas = alphas
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
+        self.max_radius = max_radius
 
     def _splitting(self, context: SplitContext) -> Splitting:
         return Direct(context)

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.bounded import bounded
 from pisplit.checks import finite_array, non_negative
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
@@ -21,7 +22,7 @@ from pisplit.lifted import LiftedModel
 from pisplit.moments import accumulate
 from pisplit.phase import PhaseSamples
 from pisplit.scaling import column_scales
-from pisplit.splitting import SplitContext, SplitFit, Splitting, pair_moments
+from pisplit.splitting import Solver, SplitContext, SplitFit, Splitting, pair_moments
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,7 @@ class Estimator(ABC):
     alphas: Sequence[float] | None
     cv_states: str | Sequence[int] | Sequence[str] | None
     cv_tolerance: float
+    max_radius: float | None
 
     lifted: LiftedModel
     theta_: Dictionary
@@ -131,9 +133,9 @@ class Estimator(ABC):
         scale = column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale)
         context = self._context(theta, scale, d1.dt, samples)
         splitting = self._splitting(replace(context, equilibria=rest, known=(chosen, moments)))
-        search = self._search(theta, splitting, d1, chosen, samples) if self.alpha == "cv" else None
+        search = self._search(theta, scale, splitting, d1, chosen, samples) if self.alpha == "cv" else None
         alpha = search.chosen if search else non_negative(self.alpha, "alpha")
-        fit = splitting.solver(chosen)(alpha)
+        fit = self._solver(theta, scale, splitting, chosen)(alpha)
         provenance = {
             "estimator": type(self).__name__,
             "options": {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float | None)},
@@ -147,14 +149,24 @@ class Estimator(ABC):
         self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance, samples)
         self.theta_, self.fit_, self.K_, self.alpha_, self.cv_ = theta, fit, fit.K, alpha, search
 
+    def _solver(self, theta: Dictionary, scale: Array, splitting: Splitting, pairs: Pairs) -> Solver:
+        solve = splitting.solver(pairs)
+        return solve if self.max_radius is None else bounded(solve, theta, scale, self.max_radius)
+
     def _search(
-        self, theta: Dictionary, splitting: Splitting, d1: Episodes, pairs: Pairs, samples: PhaseSamples | None
+        self,
+        theta: Dictionary,
+        scale: Array,
+        splitting: Splitting,
+        d1: Episodes,
+        pairs: Pairs,
+        samples: PhaseSamples | None,
     ) -> AlphaSearch:
         """Fit on all but a few training episodes, roll these out, choose alpha by the median error."""
         default = getattr(splitting, "alphas", GRIDS[self.penalty])
         grid = np.array(default if self.alphas is None else self.alphas, dtype=np.float64)
         training, held, names = _hold_out(d1, pairs, theta.n_delays)
-        solve = splitting.solver(training)
+        solve = self._solver(theta, scale, splitting, training)
         weights = _state_weights(theta, pairs)
         unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
         base = lifted_model(theta, unlearned, d1, training, {}, samples)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.balanced import Balanced
-from pisplit.checks import non_negative, one_of
+from pisplit.checks import non_negative, one_of, positive
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.estimator import Equilibria, Estimator
@@ -43,7 +43,7 @@ class PIEDMDc(Estimator):
     rows             where K_h may differ from the identity: None everywhere; "inputs" in the input columns only; names
                      of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
                      the others, which take K_f twice)
-    scale, relative, alphas, cv_states, cv_tolerance   as in LinearEDMDc
+    scale, relative, alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
     generator_alpha  ridge of the regression that identifies the generator or flow map, relative to its Gram diagonal
     options          further options of the splitting (balanced, hold: see there)
 
@@ -66,12 +66,15 @@ class PIEDMDc(Estimator):
         cv_tolerance: float = 0.0,
         generator_alpha: float = 0.0,
         options: Mapping[str, Any] | None = None,
+        max_radius: float | None = None,
     ) -> None:
         one_of(penalty, "penalty", PENALTIES)
         one_of(toward, "toward", ("zero", "identity"))
         one_of(split, "split", tuple(SPLITS))
         one_of(half_step, "half_step", HALF_STEPS)
         non_negative(cv_tolerance, "cv_tolerance")
+        if max_radius is not None:
+            positive(max_radius, "max_radius")
         non_negative(generator_alpha, "generator_alpha")
         self.theta = theta
         self.alpha = alpha
@@ -85,6 +88,7 @@ class PIEDMDc(Estimator):
         self.alphas = alphas
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
+        self.max_radius = max_radius
         self.generator_alpha = generator_alpha
         self.options = options
 

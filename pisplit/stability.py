@@ -27,16 +27,22 @@ def limited_radius(a: Array, bound: float = 1.0) -> Array:
     triangle, basis, inside = scipy.linalg.schur(
         np.asarray(a, dtype=np.float64), output="real", sort=lambda re, im: np.hypot(re, im) <= limit
     )
-    size, i, changed = len(triangle), int(inside), False
+    if int(inside) == len(triangle):
+        return np.array(a, dtype=np.float64)
+    return np.asarray(basis @ limited_blocks(triangle, limit) @ basis.T)
+
+
+def limited_blocks(triangle: Array, bound: float) -> Array:
+    """A real Schur form with the diagonal blocks outside the circle of radius ``bound`` scaled onto it."""
+    limited, size, i = np.array(triangle), len(triangle), 0
     while i < size:
-        width = 2 if i + 1 < size and triangle[i + 1, i] != 0.0 else 1
+        width = 2 if i + 1 < size and limited[i + 1, i] != 0.0 else 1
         block = slice(i, i + width)
-        radius = float(np.abs(np.linalg.eigvals(triangle[block, block])).max())
-        if radius > limit:
-            triangle[block, block] *= limit / radius
-            changed = True
+        radius = float(np.abs(np.linalg.eigvals(limited[block, block])).max())
+        if radius > bound:
+            limited[block, block] *= bound / radius
         i += width
-    return np.asarray(basis @ triangle @ basis.T) if changed else np.array(a, dtype=np.float64)
+    return limited
 
 
 def stabilised(model: LiftedModel, bound: float = 1.0) -> LiftedModel:
