@@ -82,12 +82,16 @@ class Balance:
         return self.motion.to_tip(self._inertia_density) + self.loads.point_inertia
 
     @cached_property
-    def _moment(self) -> ca.SX:
-        """World internal moment M at the nodes (3, K)."""
+    def _moment_density(self) -> ca.SX:
+        """World moment per length, p_s x N + l - (R rho J omega)_t, at the nodes (3, K) in N."""
         density = columnwise_cross(self.motion.tangent, self._force) + self.loads.moment
-        if self.inertia:
-            density = density - self._rotary_inertia()
-        return ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+        return density - self._rotary_inertia() if self.inertia else density
+
+    @cached_property
+    def _body_moment(self) -> ca.SX:
+        """Internal moment R^T M at the nodes (3, K) in N m."""
+        moment = ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(self._moment_density)
+        return self.motion.to_body(moment)
 
     def _rotary_inertia(self) -> ca.SX:
         """Rate of angular momentum per length in world axes: R (rho J alpha + omega x rho J omega)."""
@@ -105,7 +109,7 @@ class Balance:
     def residual(self) -> ca.SX:
         """Residual of the free strains, node by node; moments in N m, forces in N."""
         stiffness, rest = ca.DM(self.motion.profile.stiffness), ca.DM(self.motion.profile.rest)
-        moment = self.motion.to_body(self._moment) - self.loads.stress_w
+        moment = self._body_moment - self.loads.stress_w
         rows = []
         for component in self.rod.strain_set.free:
             axis = component % 3

@@ -2,8 +2,8 @@
 
 ``Balance`` integrates angular velocities along the rod; that is as accurate as the frames, but for a spatial rod it is
 not their exact derivative, and over many periods of an undamped motion the difference feeds energy in: a soft rod at
-five nodes blows up within two seconds. Here velocities are the derivatives of positions and frames by automatic
-differentiation, and forces act through the transposed derivative. The balance is then Lagrange's equation of the
+five nodes blows up within two seconds. Here velocities are the derivatives of positions and frames, turn by turn from
+node to node, and moments act through the transposed derivative. The balance is then Lagrange's equation of the
 discrete rod: without damping and inputs its energy is constant at any number of nodes.
 """
 
@@ -12,62 +12,164 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import casadi as ca
+import numpy as np
 
 from pisplit.models.rod.balance import Balance
+from pisplit.models.rod.gauss import Array
 from pisplit.models.rod.kinematics import Motion
+from pisplit.models.rod.rotations import rotation_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """One Magnus step of the frames, omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 (see ``StrainSet.steps``).
+
+    The rotation exp(hat(omega)) turns by ``dexp(omega) omega_t`` in the frame before it, where
+
+        dexp(omega) x = x + a omega x x + b omega x (omega x x),  a = (1 - cos t) / t^2,  b = (t - sin t) / t^3
+
+    with t = |omega|, smoothed at zero as ``rotations.exponential`` does.
+
+    Attributes:
+        rows: (2, K) interpolation of nodal strains to the two Gauss points of the step.
+        length: h in m.
+        points: strains w, their rates and accelerations at those points, each (3, 2).
+    """
+
+    rows: Array
+    length: float
+    points: tuple[ca.SX, ca.SX, ca.SX]
+
+    @property
+    def _weights(self) -> tuple[float, float]:
+        return 0.5 * self.length, np.sqrt(3.0) / 12.0 * self.length**2
+
+    @cached_property
+    def omega(self) -> ca.SX:
+        """Rotation vector (3,)."""
+        half, twist = self._weights
+        w_1, w_2 = ca.horzsplit(self.points[0])
+        return half * (w_1 + w_2) + twist * ca.cross(w_1, w_2)
+
+    @cached_property
+    def _coefficients(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """t^2, a and b."""
+        square = ca.dot(self.omega, self.omega) + 1e-12
+        half = 0.5 * ca.sqrt(square)
+        ratio = ca.sin(half) / half
+        return square, 0.5 * ratio * ratio, (1.0 - ratio * ca.cos(half)) / square
+
+    @cached_property
+    def rates(self) -> tuple[ca.SX, ca.SX]:
+        """Angular velocity and acceleration (3,) that the step adds, in the frame before it."""
+        half, twist = self._weights
+        (w_1, w_2), (u_1, u_2), (v_1, v_2) = (ca.horzsplit(p) for p in self.points)
+        first = half * (u_1 + u_2) + twist * (ca.cross(u_1, w_2) + ca.cross(w_1, u_2))
+        bent = ca.cross(v_1, w_2) + 2.0 * ca.cross(u_1, u_2) + ca.cross(w_1, v_2)
+        second = half * (v_1 + v_2) + twist * bent
+        square, a, b = self._coefficients
+        once = ca.cross(self.omega, first)
+        twice = ca.cross(self.omega, once)
+        growth = ca.dot(self.omega, first) / square
+        a_t, b_t = (1.0 - b * square - 2.0 * a) * growth, (a - 3.0 * b) * growth
+        again = ca.cross(self.omega, second)
+        rate = second + a_t * once + a * again + b_t * twice
+        rate = rate + b * (ca.cross(first, once) + ca.cross(self.omega, again))
+        return first + a * once + b * twice, rate
+
+    def conjugate(self, moment: ca.SX) -> ca.SX:
+        """Share (3, K) of the nodal strains w in a moment (3,) in the frame before the step: transpose of ``rates``."""
+        half, twist = self._weights
+        w_1, w_2 = ca.horzsplit(self.points[0])
+        _, a, b = self._coefficients
+        once = ca.cross(self.omega, moment)
+        m = moment - a * once + b * ca.cross(self.omega, once)
+        parts = ca.horzcat(half * m + twist * ca.cross(w_2, m), half * m + twist * ca.cross(m, w_1))
+        return ca.mtimes(parts, ca.DM(self.rows))
 
 
 @dataclass(frozen=True, eq=False)
 class VariationalMotion(Motion):
-    """Motion whose velocities and accelerations differentiate the discrete positions and frames exactly.
+    """Motion whose velocities and accelerations differentiate the discrete positions and frames exactly."""
 
-    ``strains`` and ``rates`` must be symbols; rates may be exact zeros.
-    """
+    def _turn(self, start: float, end: float) -> Turn:
+        h = end - start
+        rows = self.rule.interpolate(start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0))
+        w, w_t, w_tt = (ca.mtimes(w, ca.DM(rows.T)) for w in (self.w, self.w_t, self._wv_tt[0]))
+        return Turn(rows, h, (w, w_t, w_tt))
 
-    def _rate(self, value: ca.SX) -> ca.SX:
-        """d/dt of a function of the strains."""
-        return ca.reshape(ca.jtimes(ca.vec(value), self.strains, self.rates), *value.shape)
+    @cached_property
+    def _turns(self) -> list[Turn]:
+        return [self._turn(start, end) for start, end in pairwise(self.rule.step_ends)]
 
-    def _second_rate(self, rate: ca.SX) -> ca.SX:
-        """d/dt of a function of strains and rates."""
-        if self.rates.nnz() == 0:
-            return ca.SX(*rate.shape)
-        symbols, velocities = ca.vertcat(self.strains, self.rates), ca.vertcat(self.rates, self.accelerations)
-        return ca.reshape(ca.jtimes(ca.vec(rate), symbols, velocities), *rate.shape)
+    @cached_property
+    def _ends(self) -> list[ca.SX]:
+        """Rotations R at ``rule.step_ends``."""
+        return [rotation_matrix(q) for q in self._steps]
 
-    def _spins(self, frames: Sequence[ca.SX]) -> ca.SX:
-        """World angular velocities of frames."""
-        return ca.horzcat(*[ca.inv_skew(self._rate(r) @ r.T) for r in frames])
+    @cached_property
+    def _chain(self) -> list[tuple[ca.SX, ca.SX]]:
+        """World angular velocity and acceleration at ``rule.step_ends``."""
+        chain = [(self.base.spin, self.base.spin_rate)]
+        for frame, turn in zip(self._ends, self._turns, strict=False):
+            chain.append(_turned(*chain[-1], frame, turn))
+        return chain
+
+    def _spins(self, points: Sequence[float]) -> list[tuple[ca.SX, ca.SX]]:
+        ends, found = self.rule.step_ends, []
+        for point in points:
+            last = int(np.searchsorted(ends, point, side="right")) - 1
+            spin = self._chain[last]
+            if point > ends[last]:
+                spin = _turned(*spin, self._ends[last], self._turn(ends[last], point))
+            found.append(spin)
+        return found
+
+    def spin_at(self, points: Sequence[float]) -> ca.SX:
+        """World angular velocity O (3, S) at arclengths in rad/s."""
+        if self.rod.strain_set.planar:
+            return super().spin_at(points)
+        return ca.horzcat(*[spin for spin, _ in self._spins(points)])
+
+    def spin_rate_at(self, points: Sequence[float]) -> ca.SX:
+        """O_t (3, S) at arclengths in rad/s^2."""
+        if self.rod.strain_set.planar:
+            return super().spin_rate_at(points)
+        return ca.horzcat(*[rate for _, rate in self._spins(points)])
 
     @cached_property
     def spin(self) -> ca.SX:
         """World angular velocity at the nodes in rad/s."""
-        return self._spins(self.frames[:-1])
+        return self.spin_at(self.rule.nodes.tolist())
 
     @cached_property
     def spin_rate(self) -> ca.SX:
         """O_t at the nodes in rad/s^2."""
-        return self._second_rate(self.spin)
+        return self.spin_rate_at(self.rule.nodes.tolist())
 
-    @cached_property
-    def velocity_density(self) -> ca.SX:
-        """p_ts."""
-        return self._rate(self.tangent)
+    def conjugate(self, moments: ca.SX, tip: ca.SX) -> ca.SX:
+        """World moments at the nodes (3, K) and at the tip (3,) as they act on the nodal strains w, (3, K).
 
-    @cached_property
-    def acceleration_density(self) -> ca.SX:
-        """p_tts."""
-        return self._second_rate(self.velocity_density)
+        The transpose of ``spin_at`` the nodes and the tip: sum_k moments_k . dO_k + tip . dO(L).
+        """
+        ends, nodes = self.rule.step_ends, self.rule.nodes.tolist()
+        total = tip
+        acting = self._turn(ends[-1], self.rule.length).conjugate(self._ends[-1].T @ total)
+        for k in reversed(range(1, len(ends))):
+            if ends[k] in nodes:
+                total = total + moments[:, nodes.index(ends[k])]
+            acting = acting + self._turns[k - 1].conjugate(self._ends[k - 1].T @ total)
+        return acting
 
-    def spin_at(self, points: Sequence[float]) -> ca.SX:
-        """World angular velocity O (3, S) at arclengths in rad/s."""
-        return self._spins([self.frame_at(s) for s in points])
 
-    def spin_rate_at(self, points: Sequence[float]) -> ca.SX:
-        """O_t (3, S) at arclengths in rad/s^2."""
-        return self._second_rate(self.spin_at(points))
+def _turned(spin: ca.SX, spin_rate: ca.SX, frame: ca.SX, turn: Turn) -> tuple[ca.SX, ca.SX]:
+    """World angular velocity and acceleration after a turn of ``frame``."""
+    rate, change = turn.rates
+    rate, change = frame @ rate, frame @ change
+    return spin + rate, spin_rate + ca.cross(spin, rate) + change
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,34 +180,23 @@ class VariationalBalance(Balance):
 
         sum_k b_k (N_k . d(p_s)_k + l_k . dO_k - stress_k . de_k) + M_tip . dO(L) = 0
 
-    divided by b_k has the units of ``Balance.residual`` and tends to it as the nodes grow. About three times the cost
-    of the usual balance of a spatial rod; a planar rod has nothing to gain.
+    divided by b_k has the units of ``Balance.residual`` and tends to it as the nodes grow. A planar rod has nothing to
+    gain: its usual balance is this one.
     """
 
     @cached_property
     def motion(self) -> Motion:
         """Kinematics."""
-        base = super().motion.base
-        return VariationalMotion(self.rod, self.rule, self.strains, self.rates, self.accelerations, base)
+        return self._motion
 
     @cached_property
-    def residual(self) -> ca.SX:
-        """Residual of the free strains, node by node; moments in N m, forces in N."""
-        motion, loads, count = self.motion, self.loads, self.rule.n_nodes
-        density = loads.moment - self._rotary_inertia() if self.inertia else loads.moment
-        weights = ca.DM(self.rule.weights[None, :])
-        moments = ca.horzcat(ca.repmat(weights, 3, 1) * density, loads.tip_moment)
-        # dR = hat(dO) R, so that M . dO is half the product of hat(M) R with dR.
-        turning = [0.5 * ca.skew(m) @ r for m, r in zip(ca.horzsplit(moments), motion.frames, strict=True)]
-        moved = ca.vertcat(ca.vec(motion.tangent), *[ca.vec(r) for r in motion.frames])
-        seeds = ca.vertcat(ca.vec(ca.repmat(weights, 3, 1) * self._force), *[ca.vec(t) for t in turning])
-        free = list(self.rod.strain_set.free)
-        work = ca.reshape(ca.jtimes(moved, self.strains, seeds, True), len(free), count)
-        stress = ca.vertcat(loads.stress_w, loads.stress_v)[free, :]
-        return ca.vec(work / ca.repmat(weights, len(free), 1) - stress) + self._elastic.residual
+    def _motion(self) -> VariationalMotion:
+        return VariationalMotion(self.rod, self.rule, self.strains, self.rates, self.accelerations, self.base)
 
-    @property
-    def _elastic(self) -> Balance:
-        """The rod alone, at rest: what is left is its elastic stress."""
-        zero = ca.SX(*self.strains.shape)
-        return Balance(self.rod, (), self.rule, self.strains, zero, zero, {}, inertia=False)
+    @cached_property
+    def _body_moment(self) -> ca.SX:
+        """Moment that acts on the strains w at the nodes (3, K) in N m."""
+        if self.rod.strain_set.planar:
+            return super()._body_moment
+        weights = ca.repmat(ca.DM(self.rule.weights[None, :]), 3, 1)
+        return self._motion.conjugate(weights * self._moment_density, self.loads.tip_moment) / weights
