@@ -211,7 +211,8 @@ def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
 def _hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:
     """Training pairs, held-out episodes and their numbers.
 
-    Episodes with the fewest training pairs are held out, later ones first: drawn pairs stay in use where possible.
+    Episodes with the fewest training pairs are held out, later ones first: drawn pairs stay in use where possible, and
+    episodes without any cost nothing.
     A single episode is cut in time: its last third is held out.
     """
     if len(d1) == 1:
@@ -225,7 +226,8 @@ def _hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes,
     numbers = np.bincount(pairs.episode, minlength=len(d1))
     long_enough = [i for i in range(len(d1)) if len(d1.us[i]) > delays]
     order = sorted(long_enough, key=lambda i: (numbers[i], -i))
-    names = tuple(sorted(order[: min(MAX_HELD_OUT, max(1, len(order) // 5))]))
+    unused = sum(numbers[i] == 0 for i in order)
+    names = tuple(sorted(order[: min(MAX_HELD_OUT, max(1, len(order) // 5, unused))]))
     training = pairs.take(~np.isin(pairs.episode, names))
     if len(training) == 0:
         raise ValueError("alpha='cv' has no pairs left beside the held-out episodes; give more episodes, or alpha")

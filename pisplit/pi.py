@@ -18,6 +18,7 @@ from pisplit.hold import Hold
 from pisplit.phase import PhaseSamples
 from pisplit.regression import PENALTIES
 from pisplit.splitting import Lie, SplitContext, Splitting, Strang
+from pisplit.two_stage import TwoStage
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ SPLITS: dict[str, Callable[[SplitContext], Splitting]] = {
     "balanced": Balanced,
     "hold": Hold,
 }
+TOWARD = ("zero", "identity", "physics")
 
 
 class PIEDMDc(Estimator):
@@ -35,7 +37,10 @@ class PIEDMDc(Estimator):
     theta            dictionary
     alpha            weight of the penalty on K_h, or "cv": chosen on roll-outs of held-out training episodes
     penalty          "lasso" (paper; pulled-back residual) or "ridge" (composed residual, K_f is never inverted)
-    toward           what the penalty pulls K_h to: "zero" (paper) or "identity", which leaves the known physics
+    toward           what the penalty pulls K_h to: "zero" (paper) or "identity", which leaves the known physics.
+                     "physics" fits the split without a penalty, with h in ``rows`` only, and then all of K toward this
+                     map: alpha = 0 is EDMDc, a large alpha the physical map, and alpha="cv" tries both limits
+                     (:class:`pisplit.two_stage.TwoStage`; the hold split is always fitted so)
     split            "strang" (paper), "lie", "balanced": Strang about the equilibrium under u
                      (:class:`pisplit.balanced.Balanced`), or "hold": both generators in one exponential
                      (:class:`pisplit.hold.Hold`)
@@ -69,8 +74,14 @@ class PIEDMDc(Estimator):
         max_radius: float | None = None,
     ) -> None:
         one_of(penalty, "penalty", PENALTIES)
-        one_of(toward, "toward", ("zero", "identity"))
+        one_of(toward, "toward", TOWARD)
         one_of(split, "split", tuple(SPLITS))
+        if toward == "physics" and split == "hold":
+            raise ValueError("split='hold' is always fitted toward its physical map; leave toward out")
+        if toward == "physics" and rows is None and split != "balanced":
+            raise ValueError(
+                "toward='physics' needs rows: where h acts in the physical map, for instance rows='inputs'"
+            )
         one_of(half_step, "half_step", HALF_STEPS)
         non_negative(cv_tolerance, "cv_tolerance")
         if max_radius is not None:
@@ -106,7 +117,8 @@ class PIEDMDc(Estimator):
         return self
 
     def _splitting(self, context: SplitContext) -> Splitting:
-        return SPLITS[self.split](context)
+        splitting = SPLITS[self.split]
+        return TwoStage(context, splitting) if self.toward == "physics" else splitting(context)
 
     def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
         _check_names(theta, samples)
