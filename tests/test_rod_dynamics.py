@@ -206,3 +206,29 @@ def test_linear_dynamics_predict_small_motions() -> None:
     end = ARM.scene.simulator(0.05, rtol=1e-8).run(np.tile(start[-3:], (4, 1)), disturbed).x[-1]
     expected = expm(0.2 * linear.A) @ shift
     assert np.abs(end[:n] - start[:n] - expected[:n]).max() <= 2e-2 * np.abs(shift).max()
+
+
+def test_a_run_that_is_bound_to_fail_spends_its_steps_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One call over all intervals, one over the interval that takes too many steps; no other start is tried there."""
+    monkeypatch.setattr(dynamics, "MAX_STEPS", 3)
+    monkeypatch.setattr(dynamics, "MAX_STEPS_TOGETHER", 3)
+    simulator = ARM.scene.simulator(0.03)
+    build, asked = simulator._integrator, []
+
+    def counted(steps: int, correct: bool, energy: bool) -> ca.Function:
+        asked.append(steps)
+        return build(steps, correct, energy)
+
+    monkeypatch.setattr(simulator, "_integrator", counted)
+    failed = simulator.run(commands(5), rest())
+    assert not failed.success and "IDA_TOO_MUCH_WORK" in failed.message
+    assert asked == [5, 1] and len(failed.t) == 1
+
+
+def test_natural_rates_are_those_of_the_linear_modes() -> None:
+    """Lowest modes of a straight rod: bending (Euler-Bernoulli), torsion and stretch (quarter waves), within 1 %."""
+    body = rod.Rod(0.5, rod.Circle(1e-3), rod.Elastic(2e11, 8e10, 8000.0), "cosserat")
+    scene = rod.Scene(body, nodes=6)
+    found = 2.0 * np.pi * scene.modes(scene.statics().solve().state).frequency
+    for rate in (body.natural_rates[k] for k in (0, 2, 5)):
+        assert np.abs(found / rate - 1.0).min() < 0.01

@@ -176,3 +176,17 @@ class Rod:
         """First clamped-free bending frequency in rad/s (Euler-Bernoulli, beta L = 1.8751), of the mean rod."""
         stiffness = min(self.stiffness[:2])
         return float(1.8751040687119611**2 * np.sqrt(stiffness / (self.mass_per_length * self.length**4)))
+
+    @property
+    def natural_rates(self) -> tuple[float, ...]:
+        """Lowest natural frequencies in rad/s of the mean rod that move (w1, w2, w3, v1, v2, v3).
+
+        Bending: ``bending_rate``; torsion and stretch: a quarter of a wave in L; shear: thickness shear, the root of
+        shear stiffness over rotary inertia. None is below that of bending.
+        """
+        quarter = 0.5 * np.pi / self.length
+        torsion = quarter * np.sqrt(self.stiffness[2] / self.inertia_per_length[2])
+        stretch = quarter * np.sqrt(self.stiffness[5] / self.mass_per_length)
+        shear = np.sqrt(np.array(self.stiffness[3:5]) / np.array(self.inertia_per_length[1::-1]))
+        bending = self.bending_rate
+        return tuple(max(bending, float(rate)) for rate in (bending, bending, torsion, *shear, stretch))

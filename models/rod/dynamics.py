@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 #: Order limit of the BDF formulas where nothing damps the free strains: orders above 2 are unstable on undamped waves.
 UNDAMPED_ORDER = 2
 #: Internal steps over one control interval, or over one natural period where that is longer, after which IDAS gives up.
-#: Ordinary motions take 20 to 200 of them, undamped waves at tight tolerances a few thousand.
+#: Ordinary motions take 20 to 200 of them, undamped waves a few thousand, undamped waves with shear and stretch after a
+#: jump of a tendon up to 10 000.
 MAX_STEPS = 10_000
+#: The same while many intervals are one call: a run that is bound to fail spends its steps in one interval and once.
+MAX_STEPS_TOGETHER = 2_000
 #: Ways to start IDAS in the order they are tried: what of y0' the motion of ``Simulator._build`` carries (strain rates,
 #: accelerations), and whether ``calc_ic`` corrects the start. Carried strain rates make smooth starts so easy that IDAS
 #: doubles its step, fails the error test, and stays at order 1 for the whole interval, ten times as many steps: they
@@ -58,7 +61,11 @@ class Simulator(Propagation):
         self._integrators: dict[tuple[int, bool, bool], ca.Function] = {}
 
     def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] after each command: the first start (see ``_build``) that IDAS takes."""
+        """States [xi, xi_t] after each command.
+
+        One interval takes the first start (see ``_build``) that IDAS does; many take the first of all or fail, and
+        ``run`` goes on interval by interval. Too much work is the fault of the motion: no other start is tried.
+        """
         n, steps = self.scene.n_strains, len(commands)
         if self.hold == "first":
             origin = np.vstack([start[2 * n :], commands[:-1]])
@@ -70,7 +77,7 @@ class Simulator(Propagation):
         moving = start[n : 2 * n]
         accelerations = np.asarray(self.equations.acceleration(start[:n], moving, origin[0])).ravel()
         failure: RuntimeError | None = None
-        for of_strains, of_rates, correct in STARTS:
+        for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
             integrator = self._integrator(steps, correct, energy)
             rates = np.concatenate([of_strains * moving, of_rates * accelerations])
             given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates])}
@@ -78,6 +85,8 @@ class Simulator(Propagation):
                 found = integrator(**given, u=controls.T)
             except RuntimeError as error:
                 failure = error
+                if "IDA_TOO_MUCH_WORK" in str(error):
+                    break
                 continue
             states = start[: 2 * n] + self.dt * -np.expm1(-t / self.dt)[:, None] * rates + np.asarray(found["xf"]).T
             if energy:
@@ -128,15 +137,16 @@ class Simulator(Propagation):
         }
         if energy:
             dae["quad"] = powers(scene)(x[:n], x[n:], u)
-        rate = scene.rod.bending_rate
-        nominal = np.concatenate([scene.nominal_strains * rate**k for k in range(3)])
+        rate, most = scene.rod.bending_rate, MAX_STEPS if steps == 1 else MAX_STEPS_TOGETHER
+        rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
+        nominal = np.concatenate([scene.nominal_strains * rates**k for k in range(3)])
         options = {
             "reltol": self.rtol,
             "abstolv": (self.rtol * nominal).tolist(),
             "suppress_algebraic": True,
             "calc_ic": correct_first,
             "linear_solver": "csparse",
-            "max_num_steps": int(MAX_STEPS * max(1.0, self.dt * rate / (2.0 * np.pi))),
+            "max_num_steps": int(most * max(1.0, self.dt * rate / (2.0 * np.pi))),
             "max_multistep_order": 5 if scene.damped else UNDAMPED_ORDER,
             "disable_internal_warnings": True,
             "show_eval_warnings": False,
