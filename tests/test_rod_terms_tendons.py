@@ -286,3 +286,16 @@ def test_slopes_of_functions_hold_at_the_ends_of_the_rod() -> None:
     helix = rod.Helix(0.012, 0.25, 0.4)
     exact = np.array([helix.slope(x) for x in s]).T
     assert sample(lambda x: helix(x), s, LENGTH)[1][:2] == pytest.approx(exact, abs=1e-8 * np.abs(exact).max())
+
+
+def test_slack_tendons_of_a_weak_rod_leave_it_as_straight_as_those_of_a_stiff_one() -> None:
+    """Rods alike but for their stiffness, tendons in proportion: the rounding of slack scales with the tendons."""
+    shapes = []
+    for young in (1e4, 1e12):
+        body = rod.Rod(0.5, rod.Circle(1e-3), rod.Elastic(young, young / 3.0, 1000.0), "cosserat")
+        drive = rod.Displacement(compliance=1e-2 / body.stiffness[0])
+        found = rod.Scene(body, rod.Tendons.parallel(0.01, (0, 120, 240), drive), nodes=3).statics().solve([5e-3, 0, 0])
+        assert found.success
+        shapes.append(found.strains)
+    assert shapes[0] == pytest.approx(shapes[1], abs=1e-9)
+    assert rod.Displacement(1e-4).tension(1.0, 1.0, 0.0) == pytest.approx(0.1 * np.log(2.0))

@@ -17,6 +17,8 @@ from pisplit.models.rod.loads import Input, Loads
 from pisplit.models.rod.routing import Helix, Line, Route, checked_routes, nodes_before, on_circle, sample
 from pisplit.models.rod.texts import OPTION, brief
 
+#: Strain of a displaced tendon over which slack sets in when no tension is given: 0.1 N on the paper's arm.
+SLACK_STRAIN = 1e-5
 #: Turning over the length of the rod in rad below which capstan friction sets in smoothly.
 TURN_FLOOR = 1e-3
 
@@ -26,24 +28,27 @@ class Displacement:
     """Each tendon is pulled by a displacement u_i in m (positive pulls): tension from its elastic stretch.
 
     ``tau_i = max(0, (l_i - l*_i) / (c l*_i))`` with ``l*_i = L_i - u_i`` and the path length ``l_i``; a slack tendon
-    carries nothing. The corner at slack is rounded over ``slack_smoothing``.
+    carries nothing. The corner at slack is rounded.
 
     Args:
         compliance: c in 1/N, strain of the tendon per newton.
-        slack_smoothing: tension in N over which slack sets in; at the corner the tension is off by 0.69 of it.
+        slack_smoothing: tension in N over which slack sets in; at the corner the tension is off by 0.69 of it. When not
+            given, that of a strain of 1e-5, which suits tendons of any stiffness.
     """
 
     compliance: float
-    slack_smoothing: float = 0.1
+    slack_smoothing: float | None = None
 
     def __post_init__(self) -> None:
         positive(self.compliance, "Displacement compliance", "1/N")
-        positive(self.slack_smoothing, "Displacement slack_smoothing", "N")
+        if self.slack_smoothing is not None:
+            positive(self.slack_smoothing, "Displacement slack_smoothing", "N")
 
     def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
         """Tension in N of one tendon with path length ``length``, unpulled length ``rest`` and displacement ``u``."""
         unstretched = self.unstretched(length, rest, u)
-        return softplus((length - unstretched) / (self.compliance * unstretched), self.slack_smoothing)
+        smoothing = SLACK_STRAIN / self.compliance if self.slack_smoothing is None else self.slack_smoothing
+        return softplus((length - unstretched) / (self.compliance * unstretched), smoothing)
 
     def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
         """Length in m at which the tendon just carries nothing."""
