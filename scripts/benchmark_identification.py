@@ -23,8 +23,8 @@ from tqdm import tqdm
 
 from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.evaluate import rollout_errors
 from pisplit.models import ControlSystem, systems
+from pisplit.models.tendon_arm import TendonArm
 from pisplit.moments import accumulate, triangular_factor
 from pisplit.regression import alpha_max, lasso, lasso_path
 
@@ -138,56 +138,59 @@ def sensor_data(rng: np.random.Generator, steps: int) -> tuple[Array, Array]:
 
 
 def measure_slow_manifold(report: Report, quick: bool, rng: np.random.Generator) -> None:
-    """Mean squared error of x2 over 10,000 steps; training data are the first N pairs; median of 5 seeds."""
+    """Mean squared error of x2 over 10,000 steps; training data are the first N pairs of a run; median of 5 seeds.
+
+    Rolled out are a fresh run, from the same start under other inputs, and for the dictionary that is not closed also
+    the run of the training pairs, as in the paper authors' example: with all its 9999 pairs that is no test. alpha="cv"
+    holds out four further runs; no other row sees them.
+    """
     system, dt, steps = systems.slow_manifold(), 1e-3, 10_000
     first, seeds = int(rng.integers(1 << 30)), 2 if quick else 5
     square = ob.Expression(lambda x, u: x[0] ** 2, name="x1^2")
     small = Dictionary(ob.Constant(), ob.Identity(), n_states=2, n_inputs=1)
-    closed = Dictionary(ob.Constant(), ob.Identity(), square, n_states=2, n_inputs=1)
+    linear = Dictionary(ob.Constant(), ob.Identity(), square, n_states=2, n_inputs=1)
     cubic = Dictionary(ob.Constant(), ob.Identity(), square, ob.Polynomials(3, of="inputs"), n_states=2, n_inputs=1)
-    errors: dict[tuple[str, int], list[float]] = {}
+    errors: dict[tuple[str, int, str], list[float]] = {}
     for seed in range(seeds):
         draw = np.random.default_rng(first + seed)
-        u = np.repeat(0.1 * draw.normal(size=(steps // 3 + 1, 1)), 3, axis=0)[:steps]
-        x = system.simulate([0.3, 0.7], u, dt)
-        d1 = Episodes([x], [u], dt)
+        us = [np.repeat(0.1 * draw.normal(size=(steps // 3 + 1, 1)), 3, axis=0)[:steps] for _ in range(6)]
+        xs = [system.simulate([0.3, 0.7], u, dt) for u in us]
+        d1 = Episodes(xs[:5], us[:5], dt)
         points = draw.uniform([0.0, -0.5], [0.5, 0.5], (500, 2))
         d2 = PhaseSamples.from_system(system, points, np.zeros((500, 1)))
         for n in (16, 256, 1024, 9999):
-            part = d1.pairs().take(np.arange(n))
+            part = d1.pairs().take(np.arange(n))  # all of the first episode
+            between = PIEDMDc(small, "cv", penalty="ridge", toward="physics", rows="inputs")
             by = {
-                CLOSED: PIEDMDc(closed, 0.0, rows="inputs").fit(d1, d2, part),
-                CLOSED_CUBIC: PIEDMDc(cubic, 0.0, rows="inputs").fit(d1, d2, part),
+                CLOSED: PIEDMDc(cubic, 0.0, rows="inputs").fit(d1, d2, part),
+                CLOSED_LINEAR: PIEDMDc(linear, 0.0, rows="inputs").fit(d1, d2, part),
                 PHYSICS: PIEDMDc(small, 0.0, rows="inputs").fit(d1, d2, part),
                 PLAIN: LinearEDMDc(small).fit(d1, part),
+                BETWEEN: between.fit(d1, d2, part),
             }
-            by[CHOSEN] = by[_chosen(small, d1, d2, n)]
             for name, model in by.items():
-                found = model.lifted.predict(x[0], None, u)
-                error = np.inf if found.diverged else float(((found.x - x)[1:, 1] ** 2).mean())
-                errors.setdefault((name, n), []).append(error)
+                for at, where in ((5, FRESH), (0, SEEN)):
+                    found = model.lifted.predict(xs[at][0], None, us[at])
+                    error = np.inf if found.diverged else float(((found.x - xs[at])[1:, 1] ** 2).mean())
+                    errors.setdefault((name, n, where), []).append(error)
     medians = {key: float(np.median(values)) for key, values in errors.items()}
-    for (name, n), value in medians.items():
-        target: Target | None = ("<=", 2e-8) if name in (CLOSED, CLOSED_CUBIC) else None
-        if name == CHOSEN:
-            best = 1.2 * min(medians[PHYSICS, n], medians[PLAIN, n])
+    for (name, n, where), value in medians.items():
+        target: Target | None = None
+        if where == FRESH and name == CLOSED:
+            target = ("<=", 2e-8)
+        if where == FRESH and name == BETWEEN:
+            best = 1.2 * min(medians[PHYSICS, n, where], medians[PLAIN, n, where])
             target = ("<=", min(best, 2.5e-4) if n <= 256 else best)
-        report.figure(f"slow manifold, N = {n}, {name}", value, "", target)
+        if where == FRESH or name not in (CLOSED, CLOSED_LINEAR):
+            report.figure(f"slow manifold, N = {n}, {name}{where}", value, "", target)
 
 
-CLOSED = "split, [1, x1, x2, x1^2], h in inputs"
-CLOSED_CUBIC = "split, [1, x1, x2, x1^2], h in inputs u, u^2, u^3"
-PHYSICS = "split, [1, x1, x2], h in inputs"
+FRESH, SEEN = "", ", run of the training pairs"
+CLOSED = "split, [1, x1, x2, x1^2], h in u, u^2, u^3"
+CLOSED_LINEAR = "split, [1, x1, x2, x1^2], h in u alone (cannot hold sin u - u)"
+PHYSICS = "split, [1, x1, x2], h in u"
 PLAIN = "EDMDc, [1, x1, x2]"
-CHOSEN = "one of the last two, by held-out roll-outs"
-
-
-def _chosen(theta: Dictionary, d1: Episodes, d2: PhaseSamples, n: int) -> str:
-    """The better estimator on the steps after the N pairs; where few are left, on the last third."""
-    cut = min(n, 2 * len(d1.us[0]) // 3)
-    part, held = d1.pairs().take(np.arange(cut)), Episodes([d1.xs[0][cut:]], [d1.us[0][cut:]], d1.dt)
-    fits = {PHYSICS: PIEDMDc(theta, 0.0, rows="inputs").fit(d1, d2, part), PLAIN: LinearEDMDc(theta).fit(d1, part)}
-    return min(fits, key=lambda name: rollout_errors(fits[name].lifted, held, [1]).mean)
+BETWEEN = "split, [1, x1, x2], toward='physics', alpha='cv'"
 
 
 def measure_fits(report: Report, quick: bool, rng: np.random.Generator) -> None:
@@ -231,21 +234,32 @@ def delay_model(rng: np.random.Generator) -> LiftedModel:
 
 
 def measure_known_part(report: Report, quick: bool, rng: np.random.Generator) -> None:
-    """The exponential of a generator, and Lie derivatives of a dictionary with 144 states."""
+    """The exponential of a generator, and Lie derivatives of dictionaries with 144 states."""
     generator = rng.normal(size=(COLUMNS, COLUMNS)) / np.sqrt(COLUMNS) - np.eye(COLUMNS)
     spent, _ = seconds(lambda: scipy.linalg.expm(0.5 * generator), 3)
     report.figure(f"expm, M = {COLUMNS}", spent, "s", ("<=", 1.0))
     samples = 10_000 if quick else 140_000
-    theta = Dictionary(ob.Identity(), ob.RandomFourier(250), ob.Slack(), n_states=TARGETS, n_inputs=3)
-    x = rng.normal(size=(4096, TARGETS))
     sizes = [min(4096, samples - i) for i in range(0, samples, 4096)]
-    spent, _ = seconds(lambda: [theta.present_derivative(x[:size], x[:size]) for size in sizes])
-    report.figure(
-        f"Lie derivatives of {TARGETS} states and 250 random Fourier columns, {samples} samples",
-        spent,
-        "s",
-        ("<=", 30.0),
-    )
+    scene = TendonArm.paper().scene
+    arm = Dictionary(ob.Constant(), ob.Identity(), ob.RodCoordinates(scene), n_states=TARGETS, n_inputs=3)
+    fourier = Dictionary(ob.Identity(), ob.RandomFourier(250), ob.Slack(), n_states=TARGETS, n_inputs=3)
+    bent = np.hstack([rng.normal(size=(4096, 2 * scene.n_strains)), np.zeros((4096, 3))])
+    bent[:, : scene.n_strains] *= 0.1 * scene.nominal_strains
+    for theta, x, what in (
+        (
+            arm,
+            scene.fields(bent).reshape(4096, -1),
+            f"the arm's {TARGETS} fields and {2 * scene.n_strains} coordinates",
+        ),
+        (fourier, rng.normal(size=(4096, TARGETS)), f"{TARGETS} states and 250 random Fourier columns"),
+    ):
+        spent, _ = seconds(partial(_derivatives, theta, x, rng.normal(size=x.shape), sizes))
+        report.figure(f"Lie derivatives of {what}, {samples} samples", spent, "s", ("<=", 30.0))
+
+
+def _derivatives(theta: Dictionary, x: Array, velocities: Array, sizes: list[int]) -> None:
+    for size in sizes:
+        theta.present_derivative(x[:size], velocities[:size])
 
 
 def measure_peer(report: Report, quick: bool, rng: np.random.Generator) -> None:
