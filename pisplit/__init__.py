@@ -22,6 +22,7 @@ from pisplit.sensitivity import input_jacobian, rollout_jacobian
 from pisplit.spectrum import Spectrum
 from pisplit.stability import stabilised
 from pisplit.streaming import StreamingEDMDc
+from pisplit.twin import TwinEDMDc
 
 __all__ = [
     "BilinearEDMDc",
@@ -43,6 +44,7 @@ __all__ = [
     "RolloutErrors",
     "Spectrum",
     "StreamingEDMDc",
+    "TwinEDMDc",
     "balanced_truncation",
     "compare",
     "generator_edmd",

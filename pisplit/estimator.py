@@ -122,7 +122,12 @@ class Estimator(ABC):
         return theta
 
     def _fit(
-        self, d1: Episodes, samples: PhaseSamples | None, pairs: Pairs | None, equilibria: Equilibria | None
+        self,
+        d1: Episodes,
+        samples: PhaseSamples | None,
+        pairs: Pairs | None,
+        equilibria: Equilibria | None,
+        simulated: Pairs | None = None,
     ) -> None:
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
@@ -133,7 +138,8 @@ class Estimator(ABC):
         scale = column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale)
         context = self._context(theta, scale, d1.dt, samples)
         splitting = self._splitting(replace(context, equilibria=rest, known=(chosen, moments)))
-        search = self._search(theta, scale, splitting, d1, chosen, samples) if self.alpha == "cv" else None
+        more = samples if simulated is None else simulated
+        search = self._search(theta, scale, splitting, d1, chosen, more) if self.alpha == "cv" else None
         alpha = search.chosen if search else non_negative(self.alpha, "alpha")
         fit = self._solver(theta, scale, splitting, chosen)(alpha)
         provenance = {
@@ -146,7 +152,7 @@ class Estimator(ABC):
             "details": dict(fit.details),
             "data": dict(d1.provenance or {}),
         }
-        self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance, samples)
+        self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance, more)
         self.theta_, self.fit_, self.K_, self.alpha_, self.cv_ = theta, fit, fit.K, alpha, search
 
     def _solver(self, theta: Dictionary, scale: Array, splitting: Splitting, pairs: Pairs) -> Solver:
@@ -160,7 +166,7 @@ class Estimator(ABC):
         splitting: Splitting,
         d1: Episodes,
         pairs: Pairs,
-        samples: PhaseSamples | None,
+        samples: PhaseSamples | Pairs | None,
     ) -> AlphaSearch:
         """Fit on all but a few training episodes, roll these out, choose alpha by the median error."""
         default = getattr(splitting, "alphas", GRIDS[self.penalty])

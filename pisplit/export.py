@@ -28,12 +28,13 @@ def lifted_model(
     episodes: Episodes,
     pairs: Pairs,
     provenance: Mapping[str, Any],
-    samples: PhaseSamples | None = None,
+    samples: PhaseSamples | Pairs | None = None,
 ) -> LiftedModel:
     """The model z+ = A z + B phi(u) (+ sum_i u_i N_i z), y = C z + d of learned rows ``k`` (S, M), physical units.
 
     The constant keeps its value and delays shift exactly: those rows are written, not learned. Where the states are not
-    columns of the dictionary, C and d are regressed on the training pairs and, where there are any, the phase samples.
+    columns of the dictionary, C and d are regressed on the training pairs and, where there are any, on phase samples or
+    pairs of a simulated twin.
     """
     read, offset = _read_out(theta, pairs, samples)
     mean, basis = excited_directions(np.vstack([pairs.u, pairs.u_history.reshape(-1, theta.n_inputs)]))
@@ -80,7 +81,7 @@ def operators(theta: Dictionary, k: Array) -> dict[str, Any]:
     return found
 
 
-def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | None) -> tuple[Array, Array]:
+def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | Pairs | None) -> tuple[Array, Array]:
     exact = theta.invert
     if exact is not None:
         return exact, np.zeros(theta.n_states)
@@ -90,8 +91,12 @@ def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | None) -> 
     def blocks() -> Iterator[Array]:
         for b in pairs.blocks():
             yield np.hstack([theta.evaluate(b)[:, columns], b.x])
-        for part in samples.blocks() if samples is not None else ():
-            yield np.hstack([theta.evaluate_static(part.x, part.u)[:, columns], part.x])
+        if isinstance(samples, Pairs):
+            for b in samples.blocks():
+                yield np.hstack([theta.evaluate(b)[:, columns], b.x])
+        elif samples is not None:
+            for part in samples.blocks():
+                yield np.hstack([theta.evaluate_static(part.x, part.u)[:, columns], part.x])
 
     moments = accumulate(blocks())
     scale = column_scales(moments.std[:size], [theta.column_quantities[i] for i in columns])

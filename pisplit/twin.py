@@ -1,0 +1,163 @@
+"""EDMDc on a few recorded pairs and on many trajectories of a physical twin, weighed on held-out roll-outs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from pisplit.checks import non_negative, positive
+from pisplit.dictionary import Dictionary
+from pisplit.episodes import Episodes, Pairs
+from pisplit.estimator import Equilibria, Estimator
+from pisplit.phase import PhaseSamples
+from pisplit.scaling import column_scales
+from pisplit.splitting import Solver, SplitContext, SplitFit, Splitting, pair_moments
+
+Array = NDArray[np.float64]
+
+
+class TwinEDMDc(Estimator):
+    """PI-EDMDc whose known part is simulated: a twin (the known f with an identified h) makes trajectories D2.
+
+        K = argmin 1/N_1 sum_D1 |K Theta - psi'|^2 + alpha (1/N_2 sum_D2 |K Theta - psi'|^2 + mu |K|^2)
+
+    in scaled columns: EDMDc on the recorded pairs D1 where alpha is small, on the twin's where it is large. The twin
+    moves f and h together, so nothing is split and no K_f is inverted; what the twin gets wrong, data repair in the
+    directions that they show. Unlike a ridge toward the twin's operator, departures cost what they change on the
+    twin's trajectories: combinations of columns that never occur carry no prior.
+
+    theta         dictionary; with :class:`pisplit.observables.Bilinear` the model is bilinear
+    alpha         weight of the twin, or "cv": chosen on roll-outs of held-out training episodes
+    twin_alpha    mu, relative to the mean diagonal of the twin's Gram matrix
+    scale         column scales by the spread of the twin's data: "quantity", "column" or None
+    alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
+
+    After ``fit`` as :class:`pisplit.estimator.Estimator`.
+    """
+
+    penalty = "ridge"
+
+    def __init__(
+        self,
+        theta: Dictionary,
+        alpha: float | str = "cv",
+        twin_alpha: float = 1e-7,
+        scale: str | None = "quantity",
+        alphas: Sequence[float] | None = None,
+        cv_states: str | Sequence[int] | Sequence[str] | None = None,
+        cv_tolerance: float = 0.0,
+        max_radius: float | None = None,
+    ) -> None:
+        positive(twin_alpha, "twin_alpha")
+        non_negative(cv_tolerance, "cv_tolerance")
+        if max_radius is not None:
+            positive(max_radius, "max_radius")
+        self.theta = theta
+        self.alpha = alpha
+        self.twin_alpha = twin_alpha
+        self.scale = scale
+        self.alphas = alphas
+        self.cv_states = cv_states
+        self.cv_tolerance = cv_tolerance
+        self.max_radius = max_radius
+
+    def fit(
+        self, d1: Episodes, twin: Episodes, pairs: Pairs | None = None, equilibria: Equilibria | None = None
+    ) -> TwinEDMDc:
+        """Fit to trajectories of the twin and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
+
+        ``twin`` has the states, inputs and dt of ``d1``. ``equilibria`` as in LinearEDMDc. To fit the twin alone, give
+        its episodes to LinearEDMDc or BilinearEDMDc.
+        """
+        if not isinstance(twin, Episodes):
+            raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")
+        if isinstance(d1, Episodes):
+            _check_alike(d1, twin)
+        self._twin = twin.pairs(self.theta.n_delays)
+        self._fit(d1, None, pairs, equilibria, self._twin)
+        return self
+
+    def _dictionary(self, d1: Episodes) -> Dictionary:
+        return self.theta.named_after(d1)
+
+    def _splitting(self, context: SplitContext) -> Splitting:
+        return Fusion(context, self._twin, self.twin_alpha, self.scale)
+
+    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
+        return SplitContext(
+            theta=theta,
+            scale=scale,
+            dt=dt,
+            samples=None,
+            penalty="ridge",
+            toward="zero",
+            half_step="auto",
+            rows=None,
+            relative=True,
+            generator_alpha=0.0,
+        )
+
+
+class Fusion:
+    """The regression of :class:`TwinEDMDc`, prepared for the pairs of a twin.
+
+    With the twin's rows reduced to a triangle R and its own answer K_0, G = R (K - K_0)^T leaves a plain ridge
+    |A R^-1 G - (Psi' - A K_0^T)|^2 / N_1 + alpha |G|^2: one singular value decomposition for every alpha.
+    """
+
+    #: Default grid of alpha="cv": from the data alone to the twin alone.
+    alphas = tuple(np.logspace(-8, 4, 13).tolist())
+
+    def __init__(self, context: SplitContext, twin: Pairs, twin_alpha: float, scale: str | None) -> None:
+        theta, size = context.theta, context.theta.n_columns
+        moments = pair_moments(theta, twin)
+        self.context = context
+        self.scale = column_scales(moments.std[:size], theta.column_quantities, scale)
+        self.own = self.scale[theta.learned_columns]
+        rows = self._rows(moments.scaled(np.concatenate([self.scale, self.own])).rows(centred=False), len(twin))
+        a, y = rows[:, :size], rows[:, size:]
+        unit = twin_alpha * float((a**2).sum()) / size
+        stacked = np.vstack([a, np.sqrt(unit) * np.eye(size)])
+        q, self.triangle = scipy.linalg.qr(stacked, mode="economic")
+        self.prior = scipy.linalg.solve_triangular(self.triangle, q[: len(a)].T @ y).T
+
+    def solver(self, pairs: Pairs) -> Solver:
+        """A function alpha -> fit for these pairs."""
+        size = self.context.theta.n_columns
+        moments = self.context.moments(pairs).scaled(np.concatenate([self.scale, self.own]))
+        rows = self._rows(moments.rows(centred=False), moments.n_samples)
+        a, y = rows[:, :size], rows[:, size:]
+        whitened = scipy.linalg.solve_triangular(self.triangle, a.T, trans="T").T
+        u, s, vt = np.linalg.svd(whitened, full_matrices=False)
+        projected = u.T @ (y - a @ self.prior.T)
+        rank = int((s > np.finfo(float).eps * max(a.shape) * s.max(initial=0.0)).sum())
+
+        def solve(alpha: float) -> SplitFit:
+            kept = np.zeros_like(s)
+            kept[:rank] = s[:rank] / (s[:rank] ** 2 + alpha)
+            change = scipy.linalg.solve_triangular(self.triangle, vt.T @ (kept[:, None] * projected)).T
+            k = (self.prior + change) * self.own[:, None] / self.scale
+            return SplitFit(K=k, alpha=alpha, rank=rank)
+
+        return solve
+
+    @staticmethod
+    def _rows(rows: Array, n: int) -> Array:
+        """Rows whose squares are means over the ``n`` samples they stand for."""
+        return rows / np.sqrt(n)
+
+
+def _check_alike(d1: Episodes, twin: Episodes) -> None:
+    if not np.isclose(d1.dt, twin.dt, rtol=1e-9):
+        raise ValueError(f"d1 has dt = {d1.dt:g} s, the twin {twin.dt:g} s; simulate the twin with the dt of d1")
+    for what, given, wanted in (
+        ("states", twin.state_names, d1.state_names),
+        ("inputs", twin.input_names, d1.input_names),
+    ):
+        if given != wanted:
+            raise ValueError(
+                f"the twin names its {what} {list(given or ())[:4]}, d1 {list(wanted or ())[:4]}; expected the same"
+            )
