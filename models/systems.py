@@ -82,6 +82,16 @@ def two_link_arm(
     )
 
 
+def tendon_arm(nodes: int = 5) -> ControlSystem:
+    """The tendon arm of the paper in its own coordinates: the backbone with its weight, damping and drag is f, the
+    tendons are h (:func:`pisplit.models.rod_system.rod_system` takes any scene). Simulate with ``method="idas"``.
+    """
+    from pisplit.models.rod_system import rod_system  # the other systems need no rods
+    from pisplit.models.tendon_arm import TendonArm
+
+    return rod_system(TendonArm.paper(nodes).scene)
+
+
 def two_link_inertia(
     q: ca.SX, w: ca.SX, masses: tuple[float, float], lengths: tuple[float, float]
 ) -> tuple[ca.SX, ca.SX]:

@@ -1,0 +1,47 @@
+"""A scene as a control system x' = f + h: f is what the rod does without its actuators, h what these add."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from pisplit.models import rod
+from pisplit.models.control_system import ControlSystem
+from pisplit.models.rod.coordinates import RodCoordinates
+
+
+def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem:
+    """x = [xi, xi_t] (2n,): free strains at the nodes and their rates; u (m,): the inputs of the scene.
+
+    f = (xi_t, acceleration without the terms of type ``actuation``) and h = (0, what they add to it); both solve the
+    mass matrix exactly. Inputs of other terms (a base that moves, a wrench) belong to f. ``simulate`` needs
+    ``method="idas"``: damped rods are stiff (rates up to 1e8 1/s). Inputs are held over a step, as with
+    ``scene.simulator(dt, hold="zero")``.
+
+    Raises ValueError if the scene has no such term.
+    """
+    if not any(isinstance(term, actuation) for term in scene.terms):
+        raise ValueError(f"the scene has no {actuation.__name__} that could be the unknown part; give it one")
+    passive, n = scene.without(actuation), scene.n_strains
+    x, u = ca.MX.sym("x", 2 * n), ca.MX.sym("u", scene.n_inputs)
+    remaining = [scene.input_names.index(name) for name in passive.input_names]
+    free = passive.acceleration(x[:n], x[n:], u[remaining] if remaining else ca.MX(0, 1))
+    names = RodCoordinates(scene, ()).names
+    bends = [name.startswith("w") for name in names[:n]]
+    return ControlSystem(
+        x,
+        u,
+        known=ca.vertcat(x[n:], free),
+        unknown=ca.vertcat(ca.MX.zeros(n), scene.acceleration(x[:n], x[n:], u) - free),
+        state_names=names,
+        input_names=scene.input_names,
+        state_units=(*("1/m" if b else "" for b in bends), *("1/(m s)" if b else "1/s" for b in bends)),
+        input_units=tuple(unit for term in scene.terms for source in term.inputs for unit in _units(term, source)),
+    )
+
+
+def _units(term: object, source: rod.Input) -> tuple[str, ...]:
+    """Units of the inputs of a term; what is no tendon does not say."""
+    unit = ""
+    if isinstance(term, rod.Tendons):
+        unit = "m" if isinstance(term.drive, rod.Displacement) else "N"
+    return (unit,) * source.size
