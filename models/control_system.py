@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,10 +27,10 @@ class ControlSystem:
 
     def __init__(
         self,
-        x: ca.SX,
-        u: ca.SX,
-        known: ca.SX,
-        unknown: ca.SX,
+        x: ca.SX | ca.MX,
+        u: ca.SX | ca.MX,
+        known: ca.SX | ca.MX,
+        unknown: ca.SX | ca.MX,
         state_names: Sequence[str] | None = None,
         input_names: Sequence[str] | None = None,
         state_units: Sequence[str] | None = None,
@@ -43,7 +44,7 @@ class ControlSystem:
         self.input_names = _named(input_names, "input_names", self.n_inputs, "u")
         self.state_units = _units(state_units, "state_units", self.n_states)
         self.input_units = _units(input_units, "input_units", self.n_inputs)
-        kind = type(x)
+        kind: Any = type(x)
         self.known = _field("known", x, u, kind(known))
         self.unknown = _field("unknown", x, u, kind(unknown))
         self.rhs = _field("rhs", x, u, kind(known) + kind(unknown))
@@ -88,7 +89,7 @@ class ControlSystem:
         return ca.Function("flow", [x, u], [end])
 
 
-def _field(name: str, x: ca.SX, u: ca.SX, expression: ca.SX) -> ca.Function:
+def _field(name: str, x: Any, u: Any, expression: Any) -> ca.Function:
     if expression.shape != x.shape:
         raise ValueError(f"{name} has shape {expression.shape}; expected {x.shape}, one entry a state")
     try:
