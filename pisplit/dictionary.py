@@ -301,6 +301,13 @@ class Dictionary:
         copy.products = self._multiplied(product)
         return copy
 
+    def without_products(self) -> Dictionary:
+        """The same dictionary without products of inputs and lifted columns."""
+        copy = _bare(self)
+        copy.observables = tuple(o for o in self.observables if not isinstance(o, Bilinear))
+        copy.products = np.empty(0, dtype=np.int64)
+        return copy
+
     def fingerprint(self) -> str:
         """SHA-256 of names, quantities, structure and compiled columns: equal in every process.
 

@@ -53,6 +53,9 @@ class PIEDMDc(Estimator):
     options          further options of the splitting (balanced, hold: see there)
 
     With an invertible K_f, alpha = 0 and rows = None it equals EDMDc: K_f cancels.
+
+    A dictionary with ``ob.Bilinear`` products makes the Strang and Lie splits of a bilinear model: u_i psi moves with f
+    as psi does, and rows="inputs" leaves B and N_i to learn, the form of a control-affine h.
     """
 
     def __init__(
@@ -115,6 +118,11 @@ class PIEDMDc(Estimator):
             raise ValueError(f"d2 is a {type(d2).__name__}; expected PhaseSamples of the known vector field")
         self._fit(d1, d2, pairs, equilibria)
         return self
+
+    def _dictionary(self, d1: Episodes) -> Dictionary:
+        if self.split in ("balanced", "hold"):
+            return super()._dictionary(d1)
+        return self.theta.named_after(d1)
 
     def _splitting(self, context: SplitContext) -> Splitting:
         splitting = SPLITS[self.split]

@@ -7,12 +7,13 @@ every alpha: cross-validation calls the last step for a whole grid.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.bilinear_half_step import with_products
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Pairs
 from pisplit.generator import HalfStep, half_step
@@ -134,15 +135,17 @@ def known_half_step(context: SplitContext) -> HalfStep:
     """K_f(dt/2) of the context's phase samples."""
     if context.samples is None:
         raise ValueError("a splitting needs phase samples of the known vector field; give d2")
-    return half_step(
-        context.theta,
+    theta = context.theta.without_products() if context.theta.is_bilinear else context.theta
+    half = half_step(
+        theta,
         context.samples,
         context.dt,
-        context.scale,
+        context.scale[: theta.n_columns],
         context.half_step,
         context.generator_alpha,
         inverted=context.penalty == "lasso",
     )
+    return replace(half, K=with_products(context.theta, half.K, context.scale)) if context.theta.is_bilinear else half
 
 
 def composed_solver(
@@ -210,7 +213,8 @@ def free_block(theta: Dictionary, rows: str | Sequence[str] | Sequence[bool] | N
     """Free rows and columns of K_h, and whether its constant column is free too (it then carries no penalty).
 
     ``rows``: None = all learned rows and all columns; "inputs" = all learned rows, but only the columns of inputs, past
-    and present; names of learned columns or of quantities, or a boolean mask over learned columns = rows where h acts.
+    and present, and their products; names of learned columns or of quantities, or a boolean mask over learned columns =
+    rows where h acts.
     """
     learned = theta.learned_columns
     everything = np.array([i for i in range(theta.n_columns) if i != theta.constant_column], dtype=np.int64)

@@ -228,7 +228,7 @@ def test_mpc_drives_a_bilinear_system_to_a_reachable_set_point(model: LiftedMode
     [
         (lambda m: LinearEDMDc(dictionary(ob.Bilinear())).fit(data()), "belong to BilinearEDMDc"),
         (
-            lambda m: PIEDMDc(dictionary(ob.Bilinear())).fit(
+            lambda m: PIEDMDc(dictionary(ob.Bilinear()), split="hold").fit(
                 data(), PhaseSamples(np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 3)))
             ),
             "belong to BilinearEDMDc",
