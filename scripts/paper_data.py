@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array
@@ -19,6 +20,8 @@ from pisplit.models.generation import (
 from pisplit.models.tendon_arm import TendonArm
 
 DT = 0.03
+#: From so many episodes on, machine code saves more time than its compilation takes.
+WORTH_COMPILING = 64
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Scale:
     test: int = 50
     steps: int = 200
     samples: int = 140_000
-    flow_samples: int = 4_000
+    flow_samples: int = 16_384
 
     def __str__(self) -> str:
         return f"{self.training}+{self.test}x{self.steps}"
@@ -49,63 +52,55 @@ class PaperData:
     d2_flow: PhaseSamples
 
 
-def load_or_make(
-    arm: TendonArm, law: str, folder: Path, scale: Scale, seed: int = 0, workers: int = -1, progress: bool = True
-) -> PaperData:
-    """The data from ``folder`` where they are there, else simulated and stored there; killed runs continue."""
-    episodes = _episodes(arm, law, folder, scale, seed, workers, progress)
-    training = episodes[: scale.training]
-    samples = {
-        kind: _samples(arm, law, folder, scale, seed, workers, progress, training, count, dt)
-        for kind, count, dt in (("d2", scale.samples, None), ("d2_flow", scale.flow_samples, DT))
-    }
-    return PaperData(law, training, episodes[scale.training :], **samples)
+@dataclass(frozen=True)
+class Source:
+    """Where data of one input law come from: files in ``folder``, made where they are not there."""
 
+    arm: TendonArm
+    law: str
+    folder: Path
+    scale: Scale
+    seed: int = 0
+    workers: int = -1
+    progress: bool = True
 
-def variant_samples(
-    arm: TendonArm, data: PaperData, folder: Path, name: str, known: rod.Scene, count: int, seed: int, workers: int = -1
-) -> PhaseSamples:
-    """Phase-space samples of another known part, with the velocities and the input law of ``data``."""
-    path = folder / f"d2-{data.law}-{name}-{count}-seed{seed}.h5"
-    rates = strain_rates(arm, data.training)
-    if path.exists():
-        return _checked(arm, path, PhaseSamples.load(path), rates, seed, data.law)
-    return make_phase_samples(
-        arm, path, count, rates, seed=seed, workers=workers, law=data.law, known=known, progress=False
-    )
+    def load_or_make(self) -> PaperData:
+        """The data; a killed run continues. Raises ValueError for files of other settings or another arm."""
+        episodes = self._episodes()
+        training = episodes[: self.scale.training]
+        rates = strain_rates(self.arm, training)
+        name = f"d2-{self.law}-{self.scale}"
+        d2 = self._samples(f"{name}-{self.scale.samples}", rates, self.scale.samples)
+        flow = self._samples(f"{name}-{self.scale.flow_samples}-flow", rates, self.scale.flow_samples, dt=DT)
+        return PaperData(self.law, training, episodes[self.scale.training :], d2, flow)
 
+    def variant(self, training: Episodes, name: str, known: rod.Scene, count: int) -> PhaseSamples:
+        """Phase-space samples of another known part, called ``name``."""
+        rates = strain_rates(self.arm, training)
+        return self._samples(f"d2-{self.law}-{self.scale}-{count}-{name}", rates, count, known=known)
 
-def _episodes(
-    arm: TendonArm, law: str, folder: Path, scale: Scale, seed: int, workers: int, progress: bool
-) -> Episodes:
-    path = folder / f"d1-{law}-{scale}-seed{seed}.h5"
-    if path.exists():
-        found = Episodes.load(path)
-        check_origin(path, found.provenance, episodes_origin(arm, scale.steps, DT, seed=seed, law=law))
-        return found
-    count = scale.training + scale.test
-    return make_episodes(arm, path, count, scale.steps, DT, seed=seed, workers=workers, progress=progress, law=law)
+    def _episodes(self) -> Episodes:
+        path = self.folder / f"d1-{self.law}-{self.scale}-seed{self.seed}.h5"
+        steps, count = self.scale.steps, self.scale.training + self.scale.test
+        if path.exists():
+            found = Episodes.load(path)
+            check_origin(path, found.provenance, episodes_origin(self.arm, steps, DT, seed=self.seed, law=self.law))
+            return found
+        compiled = count >= WORTH_COMPILING
+        return make_episodes(self.arm, path, count, steps, DT, compiled=compiled, **self._options())
 
+    def _samples(
+        self, name: str, rates: Array, count: int, dt: float | None = None, known: rod.Scene | None = None
+    ) -> PhaseSamples:
+        path = self.folder / f"{name}-seed{self.seed}.h5"
+        if path.exists():
+            found = PhaseSamples.load(path)
+            check_origin(path, found.provenance, phase_origin(self.arm, rates, seed=self.seed, law=self.law))
+            return found
+        compiled = dt is not None and count >= 10 * WORTH_COMPILING
+        return make_phase_samples(
+            self.arm, path, count, rates, known=known, dt=dt, compiled=compiled, **self._options()
+        )
 
-def _samples(
-    arm: TendonArm,
-    law: str,
-    folder: Path,
-    scale: Scale,
-    seed: int,
-    workers: int,
-    progress: bool,
-    training: Episodes,
-    count: int,
-    dt: float | None,
-) -> PhaseSamples:
-    path = folder / f"d2-{law}-{scale}-{count}{'-flow' if dt else ''}-seed{seed}.h5"
-    rates = strain_rates(arm, training)
-    if path.exists():
-        return _checked(arm, path, PhaseSamples.load(path), rates, seed, law)
-    return make_phase_samples(arm, path, count, rates, seed=seed, workers=workers, progress=progress, law=law, dt=dt)
-
-
-def _checked(arm: TendonArm, path: Path, found: PhaseSamples, rates: Array, seed: int, law: str) -> PhaseSamples:
-    check_origin(path, found.provenance, phase_origin(arm, rates, seed=seed, law=law))
-    return found
+    def _options(self) -> dict[str, Any]:
+        return {"seed": self.seed, "workers": self.workers, "progress": self.progress, "law": self.law}
