@@ -26,13 +26,12 @@ WORTH_COMPILING = 64
 
 @dataclass(frozen=True)
 class Scale:
-    """How much data: training and test episodes of ``steps`` steps, phase-space samples, and how many with a flow."""
+    """How much data: training and test episodes of ``steps`` steps, and phase-space samples."""
 
     training: int = 700
     test: int = 50
     steps: int = 200
     samples: int = 140_000
-    flow_samples: int = 16_384
 
     def __str__(self) -> str:
         return f"{self.training}+{self.test}x{self.steps}"
@@ -42,14 +41,13 @@ class Scale:
 class PaperData:
     """Data of one input law. The test episodes are the last ones simulated; no choice may look at them.
 
-    d2 holds f at static shapes with Gaussian velocities; d2_flow fewer of them, with the flow of f over half a step.
+    d2 holds f and its flow over half a step, at static shapes with Gaussian velocities.
     """
 
     law: str
     training: Episodes
     test: Episodes
     d2: PhaseSamples
-    d2_flow: PhaseSamples
 
 
 @dataclass(frozen=True)
@@ -68,16 +66,13 @@ class Source:
         """The data; a killed run continues. Raises ValueError for files of other settings or another arm."""
         episodes = self._episodes()
         training = episodes[: self.scale.training]
-        rates = strain_rates(self.arm, training)
-        name = f"d2-{self.law}-{self.scale}"
-        d2 = self._samples(f"{name}-{self.scale.samples}", rates, self.scale.samples)
-        flow = self._samples(f"{name}-{self.scale.flow_samples}-flow", rates, self.scale.flow_samples, dt=DT)
-        return PaperData(self.law, training, episodes[self.scale.training :], d2, flow)
+        d2 = self._samples(f"d2-{self.law}-{self.scale}", strain_rates(self.arm, training), self.scale.samples)
+        return PaperData(self.law, training, episodes[self.scale.training :], d2)
 
     def variant(self, training: Episodes, name: str, known: rod.Scene, count: int) -> PhaseSamples:
         """Phase-space samples of another known part, called ``name``."""
         rates = strain_rates(self.arm, training)
-        return self._samples(f"d2-{self.law}-{self.scale}-{count}-{name}", rates, count, known=known)
+        return self._samples(f"d2-{self.law}-{self.scale}-{name}", rates, count, known)
 
     def _episodes(self) -> Episodes:
         path = self.folder / f"d1-{self.law}-{self.scale}-seed{self.seed}.h5"
@@ -89,17 +84,15 @@ class Source:
         compiled = count >= WORTH_COMPILING
         return make_episodes(self.arm, path, count, steps, DT, compiled=compiled, **self._options())
 
-    def _samples(
-        self, name: str, rates: Array, count: int, dt: float | None = None, known: rod.Scene | None = None
-    ) -> PhaseSamples:
-        path = self.folder / f"{name}-seed{self.seed}.h5"
+    def _samples(self, name: str, rates: Array, count: int, known: rod.Scene | None = None) -> PhaseSamples:
+        path = self.folder / f"{name}-{count}-seed{self.seed}.h5"
         if path.exists():
             found = PhaseSamples.load(path)
             check_origin(path, found.provenance, phase_origin(self.arm, rates, seed=self.seed, law=self.law))
             return found
-        compiled = dt is not None and count >= 10 * WORTH_COMPILING
+        compiled = count >= 10 * WORTH_COMPILING
         return make_phase_samples(
-            self.arm, path, count, rates, known=known, dt=dt, compiled=compiled, **self._options()
+            self.arm, path, count, rates, known=known, dt=DT, compiled=compiled, **self._options()
         )
 
     def _options(self) -> dict[str, Any]:
