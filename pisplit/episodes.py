@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
@@ -20,6 +20,17 @@ Index = NDArray[np.int64]
 
 KIND = "pisplit/episodes"
 EXCITED = 1e-6
+
+
+class SimulatedSystem(Protocol):
+    """What :meth:`Episodes.from_system` asks of a system."""
+
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+
+    def simulate(self, x0: ArrayLike, inputs: ArrayLike, dt: float, method: str, substeps: int) -> Array:
+        """States (T+1, n) from x0 (n,) under inputs (T, m), each held over dt [s]."""
 
 
 @dataclass(frozen=True)
@@ -270,6 +281,32 @@ class Episodes:
                 provenance=h5.read_json(file, "provenance"),
                 **{name: h5.read_strings(file, name) for name in names},
             )
+
+    @classmethod
+    def from_system(
+        cls,
+        system: SimulatedSystem,
+        starts: ArrayLike,
+        inputs: Sequence[ArrayLike],
+        dt: float,
+        method: str = "rk4",
+        substeps: int = 1,
+        **options: Any,
+    ) -> Episodes:
+        """Simulated episodes of a system with its names and units: starts (E, n), one (T_i, m) array of inputs each.
+
+        ``method`` "rk4" or "idas" and ``substeps`` as in ``system.simulate``; ``options`` are further fields.
+        """
+        first = finite_array(starts, "starts", (len(inputs), None))
+        us = [np.asarray(u, dtype=np.float64) for u in inputs]
+        xs = [system.simulate(x, u, dt, method, substeps) for x, u in zip(first, us, strict=True)]
+        named = {
+            "state_names": system.state_names,
+            "input_names": system.input_names,
+            "units": system.state_units,
+            "provenance": {"method": method, "substeps": substeps},
+        }
+        return cls(xs, us, dt, **{**named, **options})
 
     @classmethod
     def from_arrays(cls, t: ArrayLike, x: ArrayLike, u: ArrayLike, **options: Any) -> Episodes:

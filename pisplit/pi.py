@@ -17,7 +17,7 @@ from pisplit.generator import HALF_STEPS
 from pisplit.hold import Hold
 from pisplit.phase import PhaseSamples
 from pisplit.regression import PENALTIES
-from pisplit.splitting import Lie, SplitContext, Splitting, Strang
+from pisplit.splitting import Lie, Rows, SplitContext, Splitting, Strang
 from pisplit.two_stage import TwoStage
 
 Array = NDArray[np.float64]
@@ -47,7 +47,8 @@ class PIEDMDc(Estimator):
     half_step        "generator" (exponential of the generator), "flow" (EDMD on the flow of f) or "auto"
     rows             where K_h may differ from the identity: None everywhere; "inputs" in the input columns only; names
                      of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
-                     the others, which take K_f twice)
+                     the others, which take K_f twice); {name: weight}: the same, with weights on the penalty of rows
+                     where h is expected to be small
     scale, relative, alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
     generator_alpha  ridge of the regression that identifies the generator or flow map, relative to its Gram diagonal
     options          further options of the splitting (balanced, hold: see there)
@@ -66,7 +67,7 @@ class PIEDMDc(Estimator):
         toward: str = "zero",
         split: str = "strang",
         half_step: str = "auto",
-        rows: str | Sequence[str] | Sequence[bool] | None = None,
+        rows: Rows = None,
         scale: str | None = "quantity",
         relative: bool = True,
         alphas: Sequence[float] | None = None,
@@ -79,6 +80,8 @@ class PIEDMDc(Estimator):
         one_of(penalty, "penalty", PENALTIES)
         one_of(toward, "toward", TOWARD)
         one_of(split, "split", tuple(SPLITS))
+        if isinstance(rows, Mapping) and split in ("balanced", "hold"):
+            raise ValueError(f"split={split!r} penalises loads, not rows; give rows without weights")
         if toward == "physics" and split == "hold":
             raise ValueError("split='hold' is always fitted toward its physical map; leave toward out")
         if toward == "physics" and rows is None and split != "balanced":

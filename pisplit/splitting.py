@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.bilinear_half_step import with_products
+from pisplit.checks import positive
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Pairs
 from pisplit.generator import HalfStep, half_step
@@ -23,6 +24,8 @@ from pisplit.regression import Regression, alpha_max, composed_ridge, lasso
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+#: Where K_h may differ from the identity (:func:`free_block`).
+Rows = str | Sequence[str] | Sequence[bool] | Mapping[str, float] | None
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class SplitContext:
     penalty: str
     toward: str
     half_step: str
-    rows: str | Sequence[str] | Sequence[bool] | None
+    rows: Rows
     relative: bool
     generator_alpha: float
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -185,18 +188,25 @@ def composed_solver(
     # Both forms are now |factor H regressors - (back Theta' - known Theta)|^2 for the free block H.
     target = y @ back.T - a @ known.T
     residual = target - regressors @ prior.T @ factor.T
+    # A weight w on the penalty of a row of H is none on that of another unknown: H = w G where targets are rows of
+    # their own (LASSO), H = G / sqrt(w) in a square.
+    weights = row_weights(theta, context.rows, rows)
+    size_of_rows: Array = weights if context.penalty == "lasso" else 1.0 / np.sqrt(weights)
     if context.penalty == "lasso":
+        residual = residual / weights
         unit = alpha_max(regressors, residual)
     else:
         unit = float((regressors**2).sum() / len(columns) * (factor**2).sum() / len(rows))
 
+    left_factor = factor if context.penalty == "lasso" else factor * size_of_rows
+
     def solve(alpha: float) -> SplitFit:
         weight = alpha * unit if context.relative else alpha
         if weight == 0.0 or context.penalty != "lasso":
-            fit: Regression = composed_ridge(factor, regressors, residual, weight)
+            fit: Regression = composed_ridge(left_factor, regressors, residual, weight)
         else:
             fit = lasso(regressors, residual, weight)
-        block = prior + fit.K
+        block = prior + size_of_rows[:, None] * fit.K
         k_h = fixed.copy()
         k_h[np.ix_(rows, columns)] = block
         if constant is not None:
@@ -209,12 +219,12 @@ def composed_solver(
     return solve
 
 
-def free_block(theta: Dictionary, rows: str | Sequence[str] | Sequence[bool] | None) -> tuple[Index, Index, bool]:
+def free_block(theta: Dictionary, rows: Rows) -> tuple[Index, Index, bool]:
     """Free rows and columns of K_h, and whether its constant column is free too (it then carries no penalty).
 
     ``rows``: None = all learned rows and all columns; "inputs" = all learned rows, but only the columns of inputs, past
     and present, and their products; names of learned columns or of quantities, or a boolean mask over learned columns =
-    rows where h acts.
+    rows where h acts. A mapping from such names to numbers > 0 also weighs the penalty of these rows.
     """
     learned = theta.learned_columns
     everything = np.array([i for i in range(theta.n_columns) if i != theta.constant_column], dtype=np.int64)
@@ -242,6 +252,16 @@ def free_block(theta: Dictionary, rows: str | Sequence[str] | Sequence[bool] | N
     if not chosen.any():
         raise ValueError("rows leaves no row free; h must act on at least one column")
     return learned[chosen], everything, affine
+
+
+def row_weights(theta: Dictionary, rows: Rows, free: Index) -> Array:
+    """Weights (len(free),) of the penalty of the free rows: 1 unless ``rows`` is a mapping; a name beats a quantity."""
+    if not isinstance(rows, Mapping):
+        return np.ones(len(free))
+    for name, weight in rows.items():
+        positive(weight, f"weight of rows[{name!r}]")
+    labels = [(theta.column_names[i], theta.column_quantities[i]) for i in free]
+    return np.array([float(rows[name] if name in rows else rows[quantity]) for name, quantity in labels])
 
 
 def _facts(half: HalfStep) -> dict[str, Any]:

@@ -212,3 +212,23 @@ def test_phase_samples_of_another_system_are_refused_by_name() -> None:
     for names in ({"state_names": ("x2", "x1")}, {"input_names": ("torque",)}):
         with pytest.raises(ValueError, match="give both the same names in the same order"):
             PIEDMDc(closed_dictionary()).fit(d1, replace(d2, **names))
+
+
+@pytest.mark.parametrize("penalty", ["ridge", "lasso"])
+def test_weights_of_rows_lie_between_free_and_fixed(penalty: str) -> None:
+    x, u = slow_manifold_run(300, 3)
+    d1, d2 = Episodes([x], [u], dt=STEP), phase_samples()
+
+    def fit(rows: Any, alpha: float = 1e-3) -> np.ndarray:
+        options: dict[str, Any] = {"penalty": penalty, "toward": "identity", "rows": rows, "relative": False}
+        return PIEDMDc(closed_dictionary(), alpha, **options).fit(d1, d2).K_
+
+    every = ["x1", "x2", "x1^2"]
+    np.testing.assert_array_equal(fit(dict.fromkeys(every, 1.0)), fit(every))
+    np.testing.assert_allclose(fit(dict.fromkeys(every, 4.0)), fit(every, 4e-3), atol=1e-9)  # alpha, all over
+    nearly = fit({"x1": 1e9, "x2": 1.0, "x1^2": 1e9})
+    np.testing.assert_allclose(nearly, fit(["x2"]), atol=1e-7)
+    with pytest.raises(ValueError, match=r"weight of rows\['x2'\] = 0; expected a positive"):
+        fit({"x2": 0.0})
+    with pytest.raises(ValueError, match="give rows without weights"):
+        PIEDMDc(closed_dictionary(), rows={"x2": 1.0}, split="hold")

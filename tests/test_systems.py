@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit import PhaseSamples
+from pisplit import Episodes, PhaseSamples
 from pisplit.models import ControlSystem, systems
 
 RNG = np.random.default_rng(6)
@@ -80,3 +80,15 @@ def test_bad_systems_are_refused_in_one_line(build: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message) as error:
         build()
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("method", ["rk4", "idas"])
+def test_simulated_episodes_carry_the_names_and_units_of_the_system(method: str) -> None:
+    system, starts = systems.two_link_arm(), RNG.normal(size=(2, 4))
+    inputs = [RNG.normal(size=(5, 2)), RNG.normal(size=(8, 2))]
+    d1 = Episodes.from_system(system, starts, inputs, 0.01, method=method, substeps=2, outputs={"joints": (0, 1)})
+    np.testing.assert_array_equal(d1.xs[1], system.simulate(starts[1], inputs[1], 0.01, method, 2))
+    assert (d1.state_names, d1.input_names, d1.units) == (system.state_names, system.input_names, system.state_units)
+    assert d1.outputs == {"joints": (0, 1)}
+    with pytest.raises(ValueError, match="starts has shape"):
+        Episodes.from_system(system, starts[:1], inputs, 0.01)
