@@ -10,6 +10,9 @@ import casadi as ca
 
 from pisplit.observables import Columns, Names
 
+#: Scalar instructions from which matrix instructions are tried, and how many times fewer they must be.
+LARGE, FEWER = 20_000, 100
+
 
 @dataclass(frozen=True)
 class Part:
@@ -23,9 +26,17 @@ class Part:
 def compile_part(
     letter: str, size: int, writers: Sequence[Callable[[Any, Names], Columns | None]], names: Names
 ) -> Part:
-    """Write all columns of one part in SX, which evaluates fastest, or in MX if one of them cannot be."""
+    """Write all columns of one part in SX, which evaluates fastest, or in MX if one of them cannot be.
+
+    Products with large matrices (random Fourier features of many states) are the exception: scalar by scalar they take
+    seven times as long as whole.
+    """
     try:
-        return _as(ca.SX, letter, size, writers, names)
+        scalar = _as(ca.SX, letter, size, writers, names)
+        if scalar.function.n_instructions() <= LARGE:
+            return scalar
+        whole = _as(ca.MX, letter, size, writers, names)
+        return whole if FEWER * whole.function.n_instructions() < scalar.function.n_instructions() else scalar
     except (RuntimeError, NotImplementedError):
         pass  # CasADi's two ways to say that a Function inside (a rootfinder, an interpolant) takes no SX
     try:

@@ -221,3 +221,24 @@ def test_bad_observables_are_refused_in_one_line(build: Callable[[], object], me
     with pytest.raises(ValueError, match=message) as error:
         build()
     assert "\n" not in str(error.value)
+
+
+def test_large_products_are_kept_whole_and_give_the_same_columns() -> None:
+    few = Dictionary(
+        ob.Identity(), ob.RandomFourier(10, seed=3), ob.Polynomials(2, variables=[0, 1]), n_states=140, n_inputs=1
+    )
+    many = Dictionary(
+        ob.Identity(), ob.RandomFourier(150, seed=3), ob.Polynomials(2, variables=[0, 1]), n_states=140, n_inputs=1
+    )
+    assert few.lift_function.is_a("SXFunction") and many.lift_function.is_a("MXFunction")
+    x, v = RNG.normal(size=(7, 140)), RNG.normal(size=(7, 140))
+    draw = np.random.default_rng(3)
+    w, b = draw.standard_normal((150, 140)), draw.uniform(0.0, 2.0 * np.pi, 150)
+    first = many.column_names.index("rff3[1]")
+    waves, slopes = (part[:, first : first + 150] for part in (many.present(x), many.present_derivative(x, v)))
+    np.testing.assert_allclose(waves, np.sqrt(2 / 150) * np.cos(x @ w.T + b), atol=1e-12)
+    np.testing.assert_allclose(slopes, -np.sqrt(2 / 150) * np.sin(x @ w.T + b) * (v @ w.T), atol=1e-10)
+    rest = [i for i, name in enumerate(few.column_names) if "rff" not in name]
+    same = [many.column_names.index(few.column_names[i]) for i in rest]
+    u = np.zeros((7, 1))
+    np.testing.assert_array_equal(many.evaluate_static(x, u)[:, same], few.evaluate_static(x, u)[:, rest])
