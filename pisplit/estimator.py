@@ -33,6 +33,8 @@ Equilibria = tuple[ArrayLike, ArrayLike]
 
 GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
 MAX_HELD_OUT = 4
+#: A bound that takes more than 1 % off the spectral radius changes what the model says: fit warns.
+NOTABLE = 1.01
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,12 @@ class Estimator(ABC):
         search = self._search(theta, scale, splitting, d1, chosen, more) if self.alpha == "cv" else None
         alpha = search.chosen if search else non_negative(self.alpha, "alpha")
         fit = self._solver(theta, scale, splitting, chosen)(alpha)
+        radius = float(fit.details.get("unbounded_radius", 0.0))
+        if self.max_radius is not None and radius > NOTABLE * self.max_radius:
+            warnings.warn(
+                f"the data ask for a spectral radius of {radius:.4g}; max_radius = {self.max_radius:g} cuts it down",
+                stacklevel=3,
+            )
         provenance = {
             "estimator": type(self).__name__,
             "options": {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float | None)},

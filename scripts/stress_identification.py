@@ -133,6 +133,11 @@ def cases(seed: int, quick: bool) -> Iterator[Case]:
                 partial(known_part, rate, penalty, rng),
                 1e-4,
             )
+    for rate in (-1e6, -1.0, 1.0, 30.0):
+        yield Case(f"toward physics of rate {rate:g}", partial(known_part, rate, "ridge", rng, "physics"), 1e-4)
+    yield Case(
+        "toward physics, phase samples of one point", partial(known_part, -1.0, "ridge", rng, "physics", 1), 1e-4
+    )
     yield Case("phase samples of one point", partial(known_part, -1.0, "ridge", rng, samples=1), 1e-4)
     yield Case("phase samples with NaN", partial(known_part, -1.0, "ridge", rng, spoil=np.nan), 1e-4)
 
@@ -146,11 +151,12 @@ def edmdc(**options: Any) -> Fit:
 
 
 def estimators() -> dict[str, Fit]:
-    """Every way to regress: least squares, ridge, LASSO."""
+    """Every way to regress: least squares, ridge, LASSO, and a bound on the radius."""
     return {
         "least squares": edmdc(),
         "ridge": edmdc(alpha=1e-14),
         "LASSO": edmdc(alpha=1e-10, penalty="lasso"),
+        "bounded": edmdc(max_radius=1.0),
     }
 
 
@@ -253,7 +259,12 @@ def short(fit: Fit, rows: int, rng: np.random.Generator) -> tuple[float, bool]:
 
 
 def known_part(
-    rate: float, penalty: str, rng: np.random.Generator, samples: int = 200, spoil: float | None = None
+    rate: float,
+    penalty: str,
+    rng: np.random.Generator,
+    toward: str = "identity",
+    samples: int = 200,
+    spoil: float | None = None,
 ) -> tuple[float, bool]:
     """f = (-x1, rate x2) is known, h = (0, u) is not; the exact flow of the sum is the truth."""
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
@@ -274,8 +285,9 @@ def known_part(
         xs.append(states)
         us.append(v)
     alpha = 1e-12 if penalty == "ridge" else 1e-8
-    fit = PIEDMDc(affine(2), alpha=alpha, penalty=penalty, toward="identity").fit(Episodes(xs[1:], us[1:], DT), d2)
-    return judge(fit, xs[:1], us[:1])
+    rows = "inputs" if toward == "physics" else None
+    split = PIEDMDc(affine(2), alpha=alpha, penalty=penalty, toward=toward, rows=rows)
+    return judge(split.fit(Episodes(xs[1:], us[1:], DT), d2), xs[:1], us[:1])
 
 
 if __name__ == "__main__":
