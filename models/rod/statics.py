@@ -14,13 +14,15 @@ from tqdm import tqdm
 
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.boundary import HeldEquilibrium, HeldTip
-from pisplit.models.rod.continuation import follow
+from pisplit.models.rod.continuation import follow, relax
 from pisplit.models.rod.inverse import InverseSolution, inverse
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 
 #: Largest scaled residual (parts of EI/L) of a state that counts as an equilibrium.
 TOLERANCE = 1e-8
+#: The same of a state that a relaxation hands over to Newton's method.
+COARSE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Equilibrium:
         residual: largest residual in parts of EI/L (moments) and EI/L^2 (forces).
         iterations: Newton iterations of the solver that ended the search (all loads of a continuation together); None
             after kinsol, whose CasADi interface does not report them.
-        solver: ``"kinsol"``, ``"newton"`` or ``"continuation"``.
+        solver: ``"kinsol"``, ``"newton"``, ``"continuation"`` or ``"relaxation"``.
         tensions: tendon tensions in N.
         slack: by how much each tendon is longer than its path, in m (0 when taut).
         message: why the search failed, empty on success.
@@ -79,7 +81,7 @@ class EquilibriumBatch:
 
 
 class Statics:
-    """Equilibria of a scene: kinsol first, then Newton, then the inputs and loads in steps.
+    """Equilibria of a scene: kinsol first, then Newton, then the loads in steps, then by relaxation.
 
     The unknowns are scaled by 1/L and the residual by EI/L, so tolerances mean the same for every rod.
     """
@@ -167,7 +169,7 @@ class Statics:
             slack=slack,
             message=""
             if success
-            else f"no equilibrium found: residual {residual:.1e} EI/L after kinsol, Newton, continuation",
+            else f"no equilibrium found: residual {residual:.1e} EI/L after kinsol, Newton, continuation, relaxation",
             scene=scene,
         )
 
@@ -312,10 +314,19 @@ class Statics:
             return x if np.all(np.isfinite(x)) else None
 
         x, _ = follow(at_load, np.zeros_like(x0))
-        return x, total, "continuation"
+        if self._worst(x, u) <= TOLERANCE:
+            return x, total, "continuation"
+        sunk = relax(lambda x: self._residual(x, u), lambda x: np.asarray(self._slopes(x, u)[0]), x, COARSE)
+        refined = _attempt(self.newton, sunk, u)
+        if np.all(np.isfinite(refined)):
+            x, total = refined, _iterations(self.newton)
+        return x, total, "relaxation"
+
+    def _residual(self, x: Array, u: Array) -> Array:
+        return np.asarray(self.scene.native(self.residual_function)(x, u)).ravel()
 
     def _worst(self, x: Array, u: Array) -> float:
-        g = np.abs(np.asarray(self.scene.native(self.residual_function)(x, u)))
+        g = np.abs(self._residual(x, u))
         return float(g.max(initial=0.0)) if np.all(np.isfinite(g)) else float("inf")
 
     def _read(self, x: Array, u: Array) -> tuple[Array, Array]:
