@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import os
 import threading
+import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -13,17 +17,80 @@ from tqdm import tqdm
 
 Case = dict[str, Any]
 Outcome = dict[str, Any]
+#: Seconds between two writes of what is finished.
+EVERY = 2.0
 
 
-def run_watched(cases: Sequence[Case], work: Callable[[Case], Outcome], limit: float, workers: int) -> list[Outcome]:
-    """Outcome of every case, in order. A case over ``limit`` s is ``hang``, one that kills its worker ``crash``."""
+class Finished:
+    """Outcomes in a file beside the run, so that one that is killed goes on where it was.
+
+    The file belongs to one set of ``arguments``; with others it is begun anew. It is written whole or not at all, every
+    ``EVERY`` seconds at most, and removed when the run is over.
+    """
+
+    def __init__(self, path: Path, arguments: dict[str, Any]) -> None:
+        self._path, self._arguments = path, arguments
+        self._outcomes: dict[str, Outcome] = {}
+        self._written, self._lock = time.monotonic(), threading.Lock()
+        if path.exists():
+            kept = json.loads(path.read_text())
+            if kept["arguments"] == arguments:
+                self._outcomes = kept["outcomes"]
+
+    def get(self, case: Case) -> Outcome | None:
+        """The outcome of a case, None if it has not been run."""
+        return self._outcomes.get(_key(case))
+
+    def put(self, case: Case, outcome: Outcome) -> None:
+        """Keep the outcome of a case."""
+        with self._lock:
+            self._outcomes[_key(case)] = outcome
+            if time.monotonic() - self._written >= EVERY:
+                self._write()
+                self._written = time.monotonic()
+
+    def remove(self) -> None:
+        """The run is over."""
+        self._path.unlink(missing_ok=True)
+
+    def _write(self) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        part = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+        part.write_text(json.dumps({"arguments": self._arguments, "outcomes": self._outcomes}))
+        os.replace(part, self._path)
+
+
+def _key(case: Case) -> str:
+    return json.dumps(case, sort_keys=True)
+
+
+def run_watched(
+    cases: Sequence[Case],
+    work: Callable[[Case], Outcome],
+    limit: float,
+    workers: int,
+    finished: Finished | None = None,
+) -> list[Outcome]:
+    """Outcome of every case, in order. A case over ``limit`` s is ``hang``, one that kills its worker ``crash``.
+
+    Cases that ``finished`` holds are not run again; it is given the others as they end.
+    """
+    known = [None if finished is None else finished.get(case) for case in cases]
     waiting: SimpleQueue[int] = SimpleQueue()
-    for index in range(len(cases)):
+    for index in (k for k, outcome in enumerate(known) if outcome is None):
         waiting.put(index)
-    found: list[Outcome] = [{} for _ in cases]
-    with tqdm(total=len(cases), desc="stress", unit="case") as bar:
+    found: list[Outcome] = [outcome or {} for outcome in known]
+
+    def keep(index: int, outcome: Outcome) -> None:
+        found[index] = outcome
+        if finished is not None:
+            finished.put(cases[index], outcome)
+        bar.update()
+
+    with tqdm(total=len(cases), initial=len(cases) - waiting.qsize(), desc="stress", unit="case") as bar:
         threads = [
-            threading.Thread(target=_serve, args=(cases, work, limit, waiting, found, bar)) for _ in range(workers)
+            threading.Thread(target=_serve, args=(cases, work, limit, waiting, keep), daemon=True)
+            for _ in range(min(workers, waiting.qsize()))
         ]
         for thread in threads:
             thread.start()
@@ -37,8 +104,7 @@ def _serve(
     work: Callable[[Case], Outcome],
     limit: float,
     waiting: SimpleQueue[int],
-    found: list[Outcome],
-    bar: tqdm[Any],
+    keep: Callable[[int, Outcome], None],
 ) -> None:
     process, pipe = _start(work)
     while True:
@@ -59,8 +125,7 @@ def _serve(
             process.kill()
             process.join()
             process, pipe = _start(work)
-        found[index] = outcome
-        bar.update()
+        keep(index, outcome)
     process.kill()
     process.join()
 
