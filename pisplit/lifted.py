@@ -270,6 +270,14 @@ class LiftedModel:
         return None if self.N is None else BilinearTerm(self.N)
 
     @cached_property
+    def _selected(self) -> NDArray[np.int64] | None:
+        """Positions of the states in z if y = C z + d just takes them, or None."""
+        takes = np.count_nonzero(self.C, axis=1) == 1
+        at = np.argmax(self.C != 0.0, axis=1)
+        plain = takes.all() and not self.d.any() and bool((self.C[np.arange(len(at)), at] == 1.0).all())
+        return at if plain else None
+
+    @cached_property
     def _lift(self) -> Mapped:
         return Mapped(self.lift_function)
 
@@ -288,15 +296,15 @@ class LiftedModel:
         # All inputs act through one product before the loop: a step is then one product with A and one sum.
         z = np.empty((steps + 1, episodes, self.n_lifted))
         z[0] = start
-        z[1:] = (features @ self.B.T + self.c).transpose(1, 0, 2)
+        z[1:] = self.c
+        driven = np.flatnonzero(self.B.any(axis=1))  # delays are not
+        z[1:, :, driven] += (features @ self.B[driven].T).transpose(1, 0, 2)
         with np.errstate(over="ignore", invalid="ignore"):
             if self.bilinear_term is not None:
                 _propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
-            elif self._transition.structured or episodes == 1:
-                _propagate(self._transition, z)
             else:
-                _propagate_rows(np.ascontiguousarray(self.A.T), z)
-            x = (z @ self.C.T + self.d).transpose(1, 0, 2)
+                _propagate(self._transition, z)
+            x = (z[..., self._selected] if self._selected is not None else z @ self.C.T + self.d).transpose(1, 0, 2)
             z = z.transpose(1, 0, 2)
             within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
             admissible = np.all(np.isfinite(z), axis=2) & np.all(within, axis=2)
@@ -314,11 +322,13 @@ _NAMES = ("state_names", "input_names", "column_names", "feature_names")
 
 def _propagate(transition: Transition, z: Array) -> None:
     """z_{k+1} += A z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
-    single = z.shape[1] == 1
-    dot = transition.matrix.dot if single and not transition.structured else transition
-    previous = z[0, 0] if single else z[0].T
-    for row in z[1:]:
-        current = row[0] if single else row.T
+    if z.shape[1] > 1:
+        for k in range(len(z) - 1):
+            transition.add(z[k], z[k + 1])
+        return
+    dot = transition if transition.structured else transition.matrix.dot
+    previous = z[0, 0]
+    for current in z[1:, 0]:
         current += dot(previous)
         previous = current
 
@@ -326,14 +336,8 @@ def _propagate(transition: Transition, z: Array) -> None:
 def _propagate_bilinear(transition: Transition, term: BilinearTerm, z: Array, inputs: Array) -> None:
     """z_{k+1} += A z_k + sum_i u_i N_i z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
     for k in range(len(z) - 1):
-        z[k + 1] += transition(z[k].T).T
+        transition.add(z[k], z[k + 1])
         z[k + 1][:, term.rows] += term(z[k], inputs[:, k])
-
-
-def _propagate_rows(transition_transposed: Array, z: Array) -> None:
-    """The same for E episodes side by side under a matrix without structure."""
-    for k in range(len(z) - 1):
-        z[k + 1] += z[k] @ transition_transposed
 
 
 def _check_signature(function: ca.Function, name: str, shapes: tuple[tuple[int, int], ...], rows: int) -> None:

@@ -34,19 +34,38 @@ class Transition:
         self._dense_rows = np.flatnonzero(dense)
         self._dense = np.ascontiguousarray(self.matrix[dense])
         self._copy_rows, self._copied = np.flatnonzero(copies), column[copies]
-        self._other_rows = np.flatnonzero(~dense & ~copies)
+        self._other_rows = np.flatnonzero(~dense & ~copies & (filled > 0))
         self._other = sparse.csr_array(self.matrix[self._other_rows])
+        self._spans = tuple(map(_span, (self._dense_rows, self._copy_rows, self._copied)))
 
     def __call__(self, z: Array) -> Array:
         """A z for z (M,), or for every column of z (M, E)."""
         if not self.structured:
             return np.asarray(self.matrix @ z)
-        product = np.empty_like(z)
+        product = np.zeros_like(z)
         product[self._dense_rows] = self._dense @ z
         product[self._copy_rows] = z[self._copied]
         if len(self._other_rows):
             product[self._other_rows] = self._other @ z
         return product
+
+    def add(self, z: Array, result: Array) -> None:
+        """Add A z to ``result`` in place, for every row of z (E, M)."""
+        if not self.structured:
+            result += z @ self.matrix.T
+            return
+        dense, copies, copied = self._spans
+        result[:, dense] += z @ self._dense.T
+        result[:, copies] += z[:, copied]
+        if len(self._other_rows):
+            result[:, self._other_rows] += (self._other @ z.T).T
+
+
+def _span(positions: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+    """A slice, which is a view, where positions follow each other; delays are laid out so."""
+    if len(positions) and (np.diff(positions) == 1).all():
+        return slice(int(positions[0]), int(positions[-1]) + 1)
+    return positions
 
 
 class BilinearTerm:
