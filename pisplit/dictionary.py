@@ -399,7 +399,10 @@ class Dictionary:
 
     def _plain_names(self) -> tuple[str, ...]:
         """Names of psi and phi, without products."""
-        return self._labels(self._state_part.names, self.names.states, self._input_part.names, "{}[k-{}]")
+        # The past of u1*u2 is not u1 times the past of u2, which a bilinear dictionary may hold beside it.
+        past = [f"({name})" if "*" in name else name for name in self._input_part.names]
+        labels = self._labels(self._state_part.names, self.names.states, past, "{}[k-{}]")
+        return (*labels[: len(labels) - len(past)], *self._input_part.names)
 
     def _plain_quantities(self) -> tuple[str, ...]:
         return self._labels(self._state_part.quantities, self.names.quantities, self._input_part.quantities, "{}")
