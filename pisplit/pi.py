@@ -14,7 +14,6 @@ from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.estimator import Equilibria, Estimator
 from pisplit.generator import HALF_STEPS
-from pisplit.hold import Hold
 from pisplit.phase import PhaseSamples
 from pisplit.regression import PENALTIES
 from pisplit.splitting import Lie, Rows, SplitContext, Splitting, Strang
@@ -22,11 +21,18 @@ from pisplit.two_stage import TwoStage
 
 Array = NDArray[np.float64]
 
+
+def _hold(context: SplitContext) -> Splitting:
+    from pisplit.hold import Hold  # scipy.optimize, half of the import time of the package, is needed there alone
+
+    return Hold(context)
+
+
 SPLITS: dict[str, Callable[[SplitContext], Splitting]] = {
     "strang": Strang,
     "lie": Lie,
     "balanced": Balanced,
-    "hold": Hold,
+    "hold": _hold,
 }
 TOWARD = ("zero", "identity", "physics")
 
