@@ -73,7 +73,7 @@ def test_values_are_those_that_the_names_say() -> None:
         "max(0,u1+u2)": soft(u[0] + u[1]),
         "max(0,-u1-u2)": soft(-u[0] - u[1]),
         "u1*u2": u[0] * u[1],
-        "u1*u2[k-1]": past[0] * past[1],
+        "(u1*u2)[k-1]": past[0] * past[1],
         "max(0,u2)[k-1]": soft(past[1]),
     }
     for name, value in expected.items():
