@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit import h5
 from pisplit.checks import finite_array, positive
 from pisplit.mapping import Mapped
-from pisplit.structured import BilinearTerm, Transition
+from pisplit.structured import BilinearTerm, Transition, runs, span
 
 Array = NDArray[np.float64]
 
@@ -270,12 +270,12 @@ class LiftedModel:
         return None if self.N is None else BilinearTerm(self.N)
 
     @cached_property
-    def _selected(self) -> NDArray[np.int64] | None:
+    def _selected(self) -> slice | NDArray[np.int64] | None:
         """Positions of the states in z if y = C z + d just takes them, or None."""
         takes = np.count_nonzero(self.C, axis=1) == 1
         at = np.argmax(self.C != 0.0, axis=1)
         plain = takes.all() and not self.d.any() and bool((self.C[np.arange(len(at)), at] == 1.0).all())
-        return at if plain else None
+        return span(at) if plain else None
 
     @cached_property
     def _lift(self) -> Mapped:
@@ -297,8 +297,8 @@ class LiftedModel:
         z = np.empty((steps + 1, episodes, self.n_lifted))
         z[0] = start
         z[1:] = self.c
-        driven = np.flatnonzero(self.B.any(axis=1))  # delays are not
-        z[1:, :, driven] += (features @ self.B[driven].T).transpose(1, 0, 2)
+        for driven in runs(np.flatnonzero(self.B.any(axis=1))):  # delays are not
+            z[1:, :, driven] += (features @ self.B[driven].T).transpose(1, 0, 2)
         with np.errstate(over="ignore", invalid="ignore"):
             if self.bilinear_term is not None:
                 _propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
@@ -309,7 +309,7 @@ class LiftedModel:
             within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
             admissible = np.all(np.isfinite(z), axis=2) & np.all(within, axis=2)
         at = np.where(admissible.all(axis=1), -1, np.argmin(admissible, axis=1))
-        x = np.ascontiguousarray(x)
+        x = np.array(x, order="C")  # apart from z, which a slice would share
         for episode in np.flatnonzero(at >= 0):
             x[episode, at[episode] :] = x[episode, max(at[episode] - 1, 0)]
         return Rollout(x=x, z=z, diverged=at >= 0, diverged_at=at.astype(np.int64))

@@ -36,7 +36,7 @@ class Transition:
         self._copy_rows, self._copied = np.flatnonzero(copies), column[copies]
         self._other_rows = np.flatnonzero(~dense & ~copies & (filled > 0))
         self._other = sparse.csr_array(self.matrix[self._other_rows])
-        self._spans = tuple(map(_span, (self._dense_rows, self._copy_rows, self._copied)))
+        self._spans = tuple(map(span, (self._dense_rows, self._copy_rows, self._copied)))
 
     def __call__(self, z: Array) -> Array:
         """A z for z (M,), or for every column of z (M, E)."""
@@ -61,11 +61,19 @@ class Transition:
             result[:, self._other_rows] += (self._other @ z.T).T
 
 
-def _span(positions: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+def span(positions: NDArray[np.int64]) -> slice | NDArray[np.int64]:
     """A slice, which is a view, where positions follow each other; delays are laid out so."""
     if len(positions) and (np.diff(positions) == 1).all():
         return slice(int(positions[0]), int(positions[-1]) + 1)
     return positions
+
+
+def runs(positions: NDArray[np.int64]) -> list[slice]:
+    """Increasing positions as slices of those that follow each other."""
+    if not len(positions):
+        return []
+    parts = np.split(positions, np.flatnonzero(np.diff(positions) != 1) + 1)
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
 
 
 class BilinearTerm:
