@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -92,3 +93,11 @@ def test_simulated_episodes_carry_the_names_and_units_of_the_system(method: str)
     assert d1.outputs == {"joints": (0, 1)}
     with pytest.raises(ValueError, match="starts has shape"):
         Episodes.from_system(system, starts[:1], inputs, 0.01)
+
+
+def test_the_example_of_the_guide_runs() -> None:
+    guide = (Path(__file__).parent.parent / "docs" / "identification.md").read_text()
+    code = guide.split("## Simulated systems", 1)[1].split("```python", 1)[1].split("```", 1)[0]
+    made: dict[str, Any] = {}
+    exec(compile(code, "identification.md", "exec"), made)
+    assert made["d1"].state_names == made["d2"].state_names and made["d2"].x_half is not None
