@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import casadi as ca
 import numpy as np
@@ -42,6 +42,7 @@ class Simulator(Propagation):
         hold: ``"first"``: inputs move linearly to the command over the step, as a servo does; ``"zero"``: they jump at
             its start (2 to 10 times as many integrator steps).
         stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
+        balance: ``"auto"``, ``"direct"`` or ``"variational"`` equations: see ``equations_of_motion``.
 
     The iteration matrix of the integrator takes the inertia forces as dead loads: how they change with shape and rate
     is left out (it scales with the square of the internal step, about 1 ms), how they stiffen the shape is not: without
@@ -49,11 +50,18 @@ class Simulator(Propagation):
     """
 
     scheme = "IDAS"
+    counters = ("nsteps", "nlinsetups", "netfails")
 
     def __init__(
-        self, scene: Scene, dt: float, rtol: float = 1e-4, hold: str = "first", stations: int | ArrayLike = 6
+        self,
+        scene: Scene,
+        dt: float,
+        rtol: float = 1e-4,
+        hold: str = "first",
+        stations: int | ArrayLike = 6,
+        balance: str = "auto",
     ) -> None:
-        super().__init__(scene, dt, stations)
+        super().__init__(scene, dt, stations, balance)
         self.rtol = positive(rtol, "Simulator rtol")
         if not 1e-12 <= self.rtol <= 0.1:
             raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
@@ -92,10 +100,17 @@ class Simulator(Propagation):
             if energy:
                 states = np.hstack([states, np.asarray(found["qf"]).T])
             if np.all(np.isfinite(states)):
-                return states, _counters(integrator.stats())
+                stats = integrator.stats()
+                return states, {name: int(str(stats.get(name, 0))) for name in self.counters}
             failure = RuntimeError("the integrator returned states that are not finite")
         assert failure is not None
         raise failure
+
+    def sensitivity(self, x: ArrayLike, u: ArrayLike) -> NoReturn:
+        """Not from IDAS, whose forward sensitivities take minutes on a spatial rod: see ``Stepper.sensitivity``."""
+        raise NotImplementedError(
+            "IDAS gives no derivatives of a step; use scene.stepper(dt, step=...).sensitivity(x, u), of fixed steps"
+        )
 
     # The integrator --------------------------------------------------------------------------------------------------
 
@@ -153,10 +168,3 @@ class Simulator(Propagation):
         }
         grid = (self.dt * np.arange(1, steps + 1)).tolist()
         return ca.integrator("arm", "idas", dae, 0.0, grid, options)
-
-
-_COUNTERS = ("nsteps", "nlinsetups", "netfails")
-
-
-def _counters(stats: dict[str, object]) -> dict[str, int]:
-    return {name: int(str(stats.get(name, 0))) for name in _COUNTERS}

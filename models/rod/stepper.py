@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, count, finite_array, positive
 from pisplit.models.rod.energy import powers
 from pisplit.models.rod.gauss import GaussRule
-from pisplit.models.rod.trajectory import Propagation
+from pisplit.models.rod.trajectory import Propagation, StepSensitivity
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -33,21 +33,6 @@ ROUNDING = 1e-9
 MAX_HALVINGS = 10
 
 
-@dataclass(frozen=True)
-class StepSensitivity:
-    """One step and its derivatives.
-
-    Attributes:
-        x: state (n_states,) after the step.
-        d_state: (n_states, n_states) derivative with respect to the state before it (its inputs included).
-        d_input: (n_states, n_inputs) derivative with respect to the command.
-    """
-
-    x: Array
-    d_state: Array
-    d_input: Array
-
-
 @dataclass(frozen=True, eq=False)
 class _Piece:
     """A step ``h`` from ``x`` to ``end`` with accelerations ``z`` (n, s) at its stages and inputs at both ends."""
@@ -64,11 +49,12 @@ class Stepper(Propagation):
 
     Gauss collocation has order ``2 * stages``, keeps quadratic invariants and damps nothing, so that the energy of an
     undamped rod stays where it is; strongly overdamped modes settle no faster than the step (IDAS is better there).
-    Undamped spatial scenes are moved by their ``variational`` equations, which the energy needs as much as the scheme.
+    Undamped spatial scenes move by their ``variational`` equations, which the energy needs as much as the scheme.
 
     The accelerations at the stages are found by Newton's method with the simplified iteration matrix (see
-    ``motion_residual``), formed again when it contracts by less than 10. A step that does not converge is halved, up to
-    ten times; ``stats["halvings"]`` counts, and a real-time loop that must not pay for this asserts that it is zero.
+    ``motion_residual``), kept from step to step and formed again when it contracts by less than 10. A step that does
+    not converge is halved, up to ten times; ``stats["halvings"]`` counts, and a real-time loop that must not pay for
+    this asserts that it is zero.
 
     Args:
         scene: what moves.
@@ -77,9 +63,11 @@ class Stepper(Propagation):
         stages: 1 (implicit midpoint), 2 or 3.
         tolerance: of the strains in parts of their nominal size (1/L), below which the last Newton correction must be.
         stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
+        balance: ``"auto"``, ``"direct"`` or ``"variational"`` equations: see ``equations_of_motion``.
     """
 
     scheme = "Gauss"
+    counters = ("nsteps", "iterations", "halvings")
 
     def __init__(
         self,
@@ -89,8 +77,9 @@ class Stepper(Propagation):
         stages: int = 2,
         tolerance: float = 1e-10,
         stations: int | ArrayLike = 6,
+        balance: str = "auto",
     ) -> None:
-        super().__init__(scene, dt, stations)
+        super().__init__(scene, dt, stations, balance)
         self.substeps = int(np.ceil(self.dt / positive(step, "Stepper step", "s") - 1e-9))
         self.tolerance = positive(tolerance, "Stepper tolerance")
         self.stages = count(stages, "Stepper stages")
@@ -99,6 +88,7 @@ class Stepper(Propagation):
         rule = GaussRule(1.0, self.stages)
         self._c, self._b, self._a = rule.nodes, rule.weights, rule.integration
         self._guess: Array | None = None
+        self._matrix: tuple[float, ca.DM] | None = None
         self._iterations = 0
 
     # Functions of the equations --------------------------------------------------------------------------------------
@@ -180,8 +170,27 @@ class Stepper(Propagation):
         xi, xi_t = x[:n], x[n : 2 * n]
         return np.concatenate([xi + h * xi_t + h * h * z @ (self._b @ self._a), xi_t + h * z @ self._b])
 
+    def _solve_by_last_matrix(self, x: Array, u: tuple[Array, Array], h: float, z: Array) -> Array | None:
+        """Stage accelerations (n, s) by the matrix of the step before, or None where that contracts too slowly."""
+        if self._matrix is None or self._matrix[0] != h:
+            return None
+        last = LARGEST_CORRECTION
+        while True:
+            self._iterations += 1
+            found, correction = self._iteration(x, *u, h, z, self._matrix[1])
+            z, size = np.asarray(found, float), float(correction)
+            if size <= self.tolerance:
+                return z
+            if not size < SLOW * last:
+                return z if size <= ROUNDING else None
+            last = size
+
     def _solve(self, x: Array, u: tuple[Array, Array], h: float, z: Array) -> Array | None:
         """Stage accelerations (n, s) from the guess ``z``, or None where Newton's method does not converge."""
+        known = self._solve_by_last_matrix(x, u, h, z)
+        if known is not None:
+            return known
+        self._matrix = None
         best = LARGEST_CORRECTION
         for _ in range(MATRICES):
             self._iterations += ITERATIONS
@@ -198,6 +207,7 @@ class Stepper(Propagation):
                 return None
             z, best = np.asarray(found, float), size
             if size <= max(self.tolerance, ROUNDING):
+                self._matrix = (h, inverse)
                 return z
         return None
 
@@ -239,7 +249,7 @@ class Stepper(Propagation):
     def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
         n = self.scene.n_strains
         x, before = start[: 2 * n], start[2 * n :]
-        self._guess, self._iterations, taken = None, 0, 0
+        self._guess, self._matrix, self._iterations, taken = None, None, 0, 0
         work = np.zeros(len(self.scene.terms) if energy else 0)
         rows = []
         for command in commands:
@@ -269,7 +279,7 @@ class Stepper(Propagation):
         n, m = self.scene.n_strains, self.scene.n_inputs
         start = finite_array(x, "x", (self.scene.n_states,))
         command = self.scene.checked_inputs(u, "u", (m,))
-        self._guess = None
+        self._guess = self._matrix = None
         slope = np.hstack([np.eye(2 * n), np.zeros((2 * n, 2 * m))])  # d [xi, xi_t] / d [xi, xi_t, u before, command]
         time = 0.0
         end = start[: 2 * n]
