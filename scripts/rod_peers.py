@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -80,11 +82,14 @@ class Run:
     tip: Array = field(repr=False)
     seconds: float
     success: bool = True
-    extrapolated: bool = False
+    note: str = ""
 
 
-def scene_of(case: Case, strains: str, nodes: int) -> rod.Scene:
-    """The case as a scene."""
+@cache
+def scene_of(case: Case, strains: str, nodes: int, compiled: bool = False) -> rod.Scene:
+    """The case as a scene; kept, so that settings of the integrator share its functions."""
+    if compiled:
+        return scene_of(case, strains, nodes).compile(stations=1)
     material = rod.Elastic(case.young, case.shear_modulus, case.density)
     return rod.Scene(
         rod.Rod(case.length, rod.Circle(case.radius, shear_factor=SHEAR_FACTOR), material, strains),
@@ -94,25 +99,36 @@ def scene_of(case: Case, strains: str, nodes: int) -> rod.Scene:
     )
 
 
-def run_pisplit(case: Case, strains: str, nodes: int, rtol: float, compiled: bool = False, repeats: int = 3) -> Run:
-    """IDAS over the whole span in one call; the median of some repeats."""
-    scene = scene_of(case, strains, nodes)
-    scene = scene.compile(stations=1) if compiled else scene
-    simulator = scene.simulator(case.span / case.outputs, rtol=rtol)
+def run_idas(case: Case, strains: str, nodes: int, rtol: float, compiled: bool = False, balance: str = "auto") -> Run:
+    """IDAS over the whole span in one call."""
+    scene = scene_of(case, strains, nodes, compiled)
+    simulator = scene.simulator(case.span / case.outputs, rtol=rtol, balance=balance)
+    notes = (", direct" if balance == "direct" else "") + (", compiled" if compiled else "")
+    return _timed(case, simulator, f"pisplit IDAS{notes}", f"K={nodes}, rtol {rtol:.0e}")
+
+
+def run_gauss(case: Case, strains: str, nodes: int, stages: int, substeps: int, compiled: bool = False) -> Run:
+    """Equal Gauss steps, ``substeps`` of them between outputs."""
+    scene, dt = scene_of(case, strains, nodes, compiled), case.span / case.outputs
+    stepper = scene.stepper(dt, step=dt / substeps, stages=stages, tolerance=1e-6)
+    label = f"K={nodes}, order {2 * stages}, step {1e3 * dt / substeps:.3g} ms"
+    return _timed(case, stepper, f"pisplit Gauss{', compiled' if compiled else ''}", label)
+
+
+def _timed(case: Case, moving: Any, code: str, setting: str, repeats: int = 3) -> Run:
+    """The case from rest; the median CPU time of some repeats after a first run."""
+    scene = moving.scene
     commands = np.array([[case.force_at(t), 0.0, 0.0] for t in case.times])
-    rest = np.zeros(scene.n_states)
-    if strains == "cosserat":
-        rest[: scene.n_strains].reshape(nodes, 6)[:, 5] = 1.0
-    found = simulator.run(commands, rest)
+    rest = np.concatenate([scene.rest_coordinates, np.zeros(scene.n_strains + 3)])
+    found = moving.run(commands, rest)
     seconds = []
     for _ in range(repeats):
         before = time.process_time()
-        found = simulator.run(commands, rest)
+        found = moving.run(commands, rest)
         seconds.append(time.process_time() - before)
     tip = np.full((case.outputs, 3), np.nan)
     tip[: len(found.t) - 1] = found.fields(1)[1:, 0, :3]
-    label = f"pisplit {strains}{', compiled' if compiled else ''}"
-    return Run(label, f"K={nodes}, rtol {rtol:.0e}", tip, float(np.median(seconds)), found.success)
+    return Run(code, setting, tip, float(np.median(seconds)), found.success)
 
 
 def run_elastica(case: Case, elements: int, outputs: int | None = None) -> Run:
@@ -164,7 +180,8 @@ def run_elastica(case: Case, elements: int, outputs: int | None = None) -> Run:
     tip = np.array(tips)
     label = f"n={elements}, dt {dt:.1e} s"
     seconds *= case.outputs / len(tip)
-    return Run("PyElastica", label, tip, seconds, bool(np.all(np.isfinite(tip))), len(tip) < case.outputs)
+    note = "  time scaled up from a shorter span" if len(tip) < case.outputs else ""
+    return Run("PyElastica", label, tip, seconds, bool(np.all(np.isfinite(tip))), note)
 
 
 _WARM: list[bool] = []
@@ -177,8 +194,10 @@ def _warm_up_elastica() -> None:
         run_elastica(Case("warm", 1e6, 1e-2, 0.4, 1000.0, 1.0, 0.01, 0.02, 2, 1.0), 5)
 
 
-def run_lines(case: Case, elements: int, rtol: float) -> Run:
+def run_lines(case: Case, elements: int, rtol: float, patience: float = 20.0) -> Run:
     """Method of lines of the plane rod with shear and stretch in numpy, stepped by BDF of scipy.
+
+    A run that takes longer than ``patience`` seconds of CPU time is given up: ``success`` is False.
 
     Nodes carry positions, elements carry angles; the clamp acts at the base itself, half an element below the first
     angle. The Jacobian is that of scipy: finite differences over its sparsity.
@@ -191,6 +210,8 @@ def run_lines(case: Case, elements: int, rtol: float) -> Run:
     stretch = case.young * case.area
 
     def rate(t: float, y: Array) -> Array:
+        if time.process_time() - before > patience:
+            raise TimeoutError(f"reached {t:.2g} of {case.span:g} s in {patience:g} s")
         x, z, angle, vx, vz, spin = y.reshape(n, 6).T
         dx, dz = np.diff(x, prepend=0.0) / h, np.diff(z, prepend=0.0) / h
         c, s = np.cos(angle), np.sin(angle)
@@ -212,14 +233,16 @@ def run_lines(case: Case, elements: int, rtol: float) -> Run:
     pattern = csr_matrix(np.kron(band, np.ones((6, 6))))
     scale = rtol * np.tile([case.length, case.length, 1.0, *np.array([case.length, case.length, 1.0]) / case.ramp], n)
     before = time.process_time()
-    found = solve_ivp(
-        rate, (0.0, case.span), start.ravel(), "BDF", case.times, rtol=rtol, atol=scale, jac_sparsity=pattern
-    )
+    code, setting, tip = "numpy + scipy BDF, plane", f"n={n}, rtol {rtol:.0e}", np.full((case.outputs, 3), np.nan)
+    options = {"rtol": rtol, "atol": scale, "jac_sparsity": pattern}
+    try:
+        found = solve_ivp(rate, (0.0, case.span), start.ravel(), "BDF", case.times, **options)
+    except TimeoutError as reason:
+        return Run(code, setting, tip, time.process_time() - before, False, note=f"  not finished: {reason}")
     seconds = time.process_time() - before
-    tip = np.full((case.outputs, 3), np.nan)
     ends = found.y.T.reshape(-1, n, 6)[:, -1]
     tip[: len(ends)] = np.stack([ends[:, 0], np.zeros(len(ends)), ends[:, 1]], axis=1)
-    return Run("numpy + scipy BDF, plane", f"n={n}, rtol {rtol:.0e}", tip, seconds, bool(found.success))
+    return Run(code, setting, tip, seconds, bool(found.success))
 
 
 def error(run: Run, reference: Run) -> float:
