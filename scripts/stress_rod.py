@@ -1,13 +1,16 @@
 """Sweeps of the rod until something breaks, and where: success, internal steps and error of every case.
 
-Modulus 1e4 to 1e12 Pa by slenderness r/L 1e-4 to 0.1; damping from none to overdamped; control intervals 1e-4 to 0.3 s;
-cold tip loads to F L^2/EI = 300; tendon pulls to 30 % of the length; tendons slack and taut in turn; random scenes.
+Rods: modulus 1e4 to 1e12 Pa by slenderness r/L 1e-4 to 0.1, damping from none to overdamped, cold tip loads to
+F L^2/EI = 300. The paper's arm, and the same with shear and stretch ("full arm"): control intervals 1e-4 to 0.3 s,
+tendon pulls to 30 % of the length, tendons slack and taut in turn, damping, tip loads. Random scenes, by hypothesis.
 Every case runs in a worker process under a wall-clock limit. What counts as broken: a crash, a hang, a NaN that is
-returned, or an exception; a solver that gives up with a clean status is recorded, not broken.
+returned, or an exception; a solver that gives up with a clean status is recorded, not broken. A run that is killed goes
+on where it was when it is started again with the same arguments. ``--case '{...}'`` runs one case as it is printed.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 from collections import Counter
@@ -21,12 +24,16 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.ticker import FormatStrFormatter
 from report import Report, parser, run
 from stress_cases import sweeps, work
-from watched import run_watched
+from watched import Finished, run_watched
 
 BROKEN = ("crash", "hang", "nan", "raised")
 COLOURS = {"ok": "#1b9e77", "failed": "#e6ab02", "refused": "#7a7a7a"}
+#: Entries of a row that are not of its case.
+FOUND = ("outcome", "message", "steps", "error", "seconds")
 Row = dict[str, Any]
 
 
@@ -46,18 +53,15 @@ def table(rows: list[Row]) -> str:
         )
     unsolved = [row for row in rows if row["outcome"] != "ok"]
     for row in unsolved[:60]:
-        what = ", ".join(f"{k} {_short(v)}" for k, v in row.items() if k not in NOT_SHOWN)
-        lines.append(f"  {row['outcome']:<8}{row['sweep']}: {what}: {row.get('message', '')}")
+        lines += [f"{row['outcome']}: {row.get('message', '')}", f"  --case '{json.dumps(_case(row))}'"]
     if len(unsolved) > 60:
         lines.append(f"  and {len(unsolved) - 60} more")
     return "\n".join(lines)
 
 
-NOT_SHOWN = ("sweep", "kind", "outcome", "message", "steps", "error", "seconds", "strains", "pattern")
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+def _case(row: Row) -> Row:
+    """The case of a row, without what became of it."""
+    return {name: value for name, value in row.items() if name not in FOUND}
 
 
 def _median(values: Any) -> float:
@@ -67,31 +71,103 @@ def _median(values: Any) -> float:
 
 def draw(rows: list[Row], path: Path) -> None:
     """Maps over modulus and slenderness, then each sweep over what it varies."""
-    figure, axes = plt.subplots(2, 4, figsize=(19.0, 8.6), constrained_layout=True)
-    for axis, strains in zip(axes[:, 0], ("cosserat", "kirchhoff"), strict=True):
-        of = [row for row in rows if row["sweep"] == f"stiffness, {strains}"]
-        _map(figure, axis, of)
-        axis.set_title(f"{strains}: steps per 1/20 of a period")
-    panels = {
-        "damping, cosserat": ("damping", "damping ratio of the first mode (leftmost: none)"),
-        "damping, kirchhoff": ("damping", "damping ratio of the first mode (leftmost: none)"),
-        "control interval": ("dt", "control interval (s)"),
-        "tendon pull": ("amplitude", "pull of one tendon (m)"),
-        "slack and taut in turn": ("amplitude", "pull, then release (m)"),
-        "cold tip load, kirchhoff": ("load", "F L^2 / EI, cold"),
-    }
-    for axis, (sweep, (name, label)) in zip(axes[:, 1:].ravel(), panels.items(), strict=True):
-        for row in (row for row in rows if row["sweep"] == sweep):
-            value, colour = max(row[name], 3e-5), COLOURS.get(row["outcome"], "#d62728")
-            axis.plot(
-                value, max(row.get("error") or 1e-12, 1e-16), "o" if row["outcome"] == "ok" else "X", color=colour
-            )
-        kind = "residual (EI/L)" if name == "load" else "tip error / L"
-        axis.set(xscale="log", yscale="log", xlabel=label, ylabel=kind, title=sweep)
-        axis.grid(alpha=0.25)
+    figure, axes = plt.subplots(3, 4, figsize=(19.0, 12.6), constrained_layout=True)
+    figure.suptitle(
+        "Stress of the rod: green solved, orange given up with a clean status, grey refused, red broken", fontsize=14
+    )
+    for axis, strains in zip(axes[:2, 0], ("cosserat", "kirchhoff"), strict=True):
+        _map(figure, axis, [row for row in rows if row["sweep"] == f"stiffness, {strains}"])
+        axis.set_title(f"{strains} rod: internal steps per 1/20 period")
+    _outcomes(axes[2, 0], rows)
+    for axis, (names, (title, value, label)) in zip(axes[:, 1:].ravel(), PANELS.items(), strict=True):
+        _panel(axis, rows, names, value)
+        axis.set(xlabel=label, title=title)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    part = path.with_name(f".{os.getpid()}-{path.name}")
+    figure.savefig(part, dpi=110)
+    os.replace(part, path)
     plt.close(figure)
+
+
+#: Sweeps of a panel; its title, what they vary, and the label of that.
+PANELS: dict[tuple[str, ...], tuple[str, str, str]] = {
+    ("damping, cosserat", "damping, kirchhoff"): ("rod: damping", "damping", "damping ratio of the first mode"),
+    ("cold tip load, cosserat", "cold tip load, kirchhoff"): ("rod: cold tip load", "load", "F L$^2$/EI"),
+    ("random scenes",): ("random scenes", "steps", "internal steps per control interval"),
+    ("arm: control interval", "full arm: control interval"): ("arm: control interval", "dt", "control interval (s)"),
+    ("arm: tendon pull", "full arm: tendon pull"): ("arm: tendon pull", "amplitude", "pull of one tendon (m)"),
+    ("arm: slack and taut in turn", "full arm: slack and taut in turn"): (
+        "arm: slack and taut in turn",
+        "dt",
+        "time between pull and release (s)",
+    ),
+    ("arm: damping", "full arm: damping"): ("arm: damping, smooth pulls", "damping", "parts of the paper's damping"),
+    ("arm: damping, jumping pulls", "full arm: damping, jumping pulls"): (
+        "arm: damping, pulls that jump every 0.03 s",
+        "damping",
+        "parts of the paper's damping",
+    ),
+    ("arm: cold tip load", "full arm: cold tip load"): ("arm: cold tip load", "load", "F L$^2$/EI"),
+}
+
+
+def _panel(axis: Any, rows: list[Row], names: tuple[str, ...], varied: str) -> None:
+    """Error over what is varied; what was not solved stands at the upper edge, a zero at the left one."""
+    of = [row for row in rows if row["sweep"] in names and row.get(varied) is not None]
+    errors = [row["error"] for row in of if row["outcome"] == "ok" and row.get("error")]
+    if not of:
+        return
+    cold = "cold" in names[0]
+    top = 10.0 * max(errors, default=1.0)
+    smallest = min((row[varied] for row in of if row[varied] > 0.0), default=1.0)
+    for name, (marker, filled) in zip(names, (("o", True), ("D", False)), strict=False):
+        for row in (row for row in of if row["sweep"] == name):
+            if row["outcome"] == "ok" and "error" not in row:
+                continue
+            solved, colour = row["outcome"] == "ok", COLOURS.get(row["outcome"], "#d62728")
+            error = max(row["error"], 1e-16 if cold else 1e-9) if solved else top
+            face = colour if filled or not solved else "none"
+            axis.plot(
+                max(row[varied], 0.3 * smallest), error, marker if solved else "X", color=colour, mfc=face, alpha=0.8
+            )
+        if len(names) > 1:
+            face = "#555555" if filled else "none"
+            axis.plot([], [], marker, color="#555555", mfc=face, linestyle="none", label=_told_apart(name))
+    if len(names) > 1:
+        axis.legend(frameon=False, loc="best", fontsize=9)
+    if any(row[varied] == 0.0 for row in of):
+        axis.annotate(
+            "0",
+            (0.3 * smallest, 0.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="center",
+            fontsize=9,
+        )
+    axis.set(xscale="log", yscale="log")
+    axis.set_ylabel("residual (EI/L)" if cold else "tip error / L")
+    axis.grid(alpha=0.25)
+
+
+def _told_apart(name: str) -> str:
+    """What tells the two sweeps of a panel apart: the arm, or the strains of a rod."""
+    return name.split(": ")[0] if "arm" in name else name.split(", ")[1]
+
+
+def _outcomes(axis: Any, rows: list[Row]) -> None:
+    """Solved and other cases of every sweep, as bars in percent."""
+    names = list(dict.fromkeys(row["sweep"] for row in rows))[::-1]
+    for k, name in enumerate(names):
+        of = [row["outcome"] for row in rows if row["sweep"] == name]
+        left = 0.0
+        for outcome in ("ok", "failed", "refused", *BROKEN):
+            share = 100.0 * of.count(outcome) / len(of)
+            axis.barh(k, share, left=left, color=COLOURS.get(outcome, "#d62728"))
+            left += share
+        axis.text(2.0, k, f"{of.count('ok')} of {len(of)}", va="center", fontsize=7, color="white")
+    axis.set_yticks(range(len(names)), names, fontsize=7)
+    axis.set(xlabel="cases (%)", title="solved", xlim=(0.0, 100.0))
 
 
 def _map(figure: Any, axis: Any, rows: list[Row]) -> None:
@@ -101,7 +177,8 @@ def _map(figure: Any, axis: Any, rows: list[Row]) -> None:
     drawn = axis.scatter(
         [row["young"] for row in solved],
         [row["ratio"] for row in solved],
-        c=np.log10(np.maximum(steps, 1e-2)),
+        c=np.maximum(steps, 1.0),
+        norm=LogNorm(),
         s=130,
         marker="s",
         cmap="viridis",
@@ -109,20 +186,36 @@ def _map(figure: Any, axis: Any, rows: list[Row]) -> None:
     for row in others:
         axis.plot(row["young"], row["ratio"], "X", ms=9, color=COLOURS.get(row["outcome"], "#d62728"))
     axis.set(xscale="log", yscale="log", xlabel="E (Pa)", ylabel="r / L")
-    figure.colorbar(drawn, ax=axis, label="log10 of internal steps")
+    bar = figure.colorbar(drawn, ax=axis, label="internal steps")
+    for which in (bar.ax.yaxis.set_major_formatter, bar.ax.yaxis.set_minor_formatter):
+        which(FormatStrFormatter("%.3g"))
 
 
 def main() -> None:
     made = parser(__doc__ or "")
-    made.add_argument("--limit", type=float, default=60.0, help="wall-clock limit of a case in s")
+    made.add_argument("--limit", type=float, default=120.0, help="wall-clock limit of a case in s")
     made.add_argument("--workers", type=int, default=2, help="worker processes")
+    made.add_argument("--case", default=None, metavar="JSON", help="run this one case only, as printed by a run")
     arguments = made.parse_args()
+    if arguments.case is not None:
+        print(json.dumps(work(json.loads(arguments.case)), indent=1))
+        return
     cases = sweeps(arguments.quick, arguments.seed)
-    rows = [
-        case | found
-        for case, found in zip(cases, run_watched(cases, work, arguments.limit, arguments.workers), strict=True)
-    ]
+    which = {"quick": arguments.quick, "seed": arguments.seed, "limit": arguments.limit}
+    finished = Finished(arguments.out / "stress_rod_unfinished.json", which)
+    found = run_watched(cases, work, arguments.limit, arguments.workers, finished)
+    rows = [case | outcome for case, outcome in zip(cases, found, strict=True)]
     print(table(rows))
+    report = _report(rows, arguments)
+    print(report)
+    draw(rows, arguments.out / "stress_rod.png")
+    report.write(arguments.json)
+    if arguments.json is not None:
+        _write(arguments.json.with_name(f"{arguments.json.stem}_cases.json"), rows)
+    finished.remove()
+
+
+def _report(rows: list[Row], arguments: argparse.Namespace) -> Report:
     report = Report.of("stress of the rod", arguments)
     report.figure("cases", len(rows), "")
     count = Counter(row["outcome"] for row in rows)
@@ -130,13 +223,11 @@ def main() -> None:
         report.figure(outcome, count[outcome], "cases")
     for outcome in BROKEN:
         report.figure(outcome, count[outcome], "cases", ("<=", 0))
-    hundred = [row["outcome"] == "ok" for row in rows if row.get("load") == 100.0]
+    arm = [row["outcome"] == "ok" for row in rows if row["sweep"].startswith("full arm")]
+    report.figure("full Cosserat arm, stress scenes finished", 100.0 * float(np.mean(arm)), "%", (">=", 100.0))
+    hundred = [row["outcome"] == "ok" for row in rows if row["kind"] == "cold" and row["load"] == 100.0]
     report.figure("cold F L^2/EI = 100 solved", 100.0 * float(np.mean(hundred)), "%", (">=", 100.0))
-    print(report)
-    draw(rows, arguments.out / "stress_rod.png")
-    report.write(arguments.json)
-    if arguments.json is not None:
-        _write(arguments.json.with_name(f"{arguments.json.stem}_cases.json"), rows)
+    return report
 
 
 def _write(path: Path, rows: list[Row]) -> None:

@@ -140,6 +140,7 @@ def _start(work: Callable[[Case], Outcome]) -> tuple[Any, Connection]:
 
 
 def _loop(pipe: Connection, work: Callable[[Case], Outcome]) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # solvers print why they give up, across the progress bar
     while True:
         try:
             case = pipe.recv()

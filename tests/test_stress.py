@@ -1,15 +1,20 @@
-"""The stress run survives hangs and crashes, and random scenes end with a clean status."""
+"""The stress run survives hangs, crashes and being killed, and random scenes end with a clean status."""
 
+import json
 import sys
 from pathlib import Path
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
+import watched
+from random_scenes import Description, build, unloaded
+from scene_strategy import drawn, scenes
 from stress_cases import sweeps, work
-from watched import run_watched
+from watched import Finished, run_watched
 
 
 def test_hangs_and_crashes_cost_a_worker_and_not_the_run() -> None:
@@ -19,16 +24,63 @@ def test_hangs_and_crashes_cost_a_worker_and_not_the_run() -> None:
     assert [row["outcome"] for row in found] == ["ok", "hang", "ok", "crash", "ok"]
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(st.integers(0, 2**31 - 1))
-def test_random_scenes_end_with_a_clean_status(seed: int) -> None:
-    assert work({"kind": "random", "seed": seed})["outcome"] in ("ok", "failed")
+def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is finished is not run again with the same arguments, and is with others; nothing else is left behind."""
+    monkeypatch.setattr(watched, "EVERY", 0.0)
+    path, case = tmp_path / "unfinished.json", "{'outcome': 'ok', 'message': 'run'}"
+    Finished(path, {"seed": 0}).put(case, {"outcome": "ok", "message": "kept"})  # type: ignore[arg-type]
+    assert [p.name for p in tmp_path.iterdir()] == ["unfinished.json"]
+
+    def messages(arguments: dict[str, int]) -> list[str]:
+        finished = Finished(path, arguments)
+        found = run_watched([case], eval, 60.0, 1, finished)  # type: ignore[list-item, arg-type]
+        return [row["message"] for row in found]
+
+    assert messages({"seed": 0}) == ["kept"]
+    assert messages({"seed": 1}) == ["run"]
+    Finished(path, {"seed": 1}).remove()
+    assert not list(tmp_path.iterdir())
 
 
-def test_every_sweep_of_the_issue_is_there() -> None:
+@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(scenes())
+def test_random_scenes_end_with_a_clean_status(described: Description) -> None:
+    """Statics and two steps of motion: finite states, and success or one line that says why not."""
+    scene, dt, inputs = build(described | {"steps": 2})
+    still = scene.statics().solve(inputs[0])
+    assert np.all(np.isfinite(still.state)) and (still.success or "\n" not in still.message)
+    run = scene.simulator(dt).run(inputs, unloaded(scene))
+    assert np.all(np.isfinite(run.x)) and np.all(np.isfinite(run.fields(1)))
+    assert run.success or (run.message.startswith("IDAS gave up") and "\n" not in run.message)
+
+
+def test_descriptions_are_drawn_by_the_seed_and_printed_ones_build_the_same_scene() -> None:
+    made = drawn(10, seed=3)
+    assert made == drawn(10, seed=3) and made != drawn(10, seed=4)
+    assert len({json.dumps(d) for d in made}) == 10
+    for described in made:
+        scene, dt, inputs = build(described)
+        again, dt_again, inputs_again = build(json.loads(json.dumps(described)))
+        assert str(scene) == str(again) and dt == dt_again and np.array_equal(inputs, inputs_again)
+
+
+def test_every_sweep_of_the_stress_run_is_there() -> None:
     cases = sweeps(quick=False, seed=0)
     young = [c["young"] for c in cases if c["sweep"].startswith("stiffness")]
     assert min(young) <= 1e4 * (1 + 1e-9) and max(young) >= 1e12 * (1 - 1e-9)
     assert sum(c["kind"] == "random" for c in cases) >= 500
     assert {c["load"] for c in cases if c["kind"] == "cold"} >= {100.0, 300.0}
+    for arm in ("arm", "full arm"):
+        of = [c for c in cases if c["sweep"].startswith(f"{arm}: ")]
+        dts = [c["dt"] for c in of if c["sweep"].endswith("control interval")]
+        assert min(dts) <= 1e-4 * (1 + 1e-9) and max(dts) >= 0.3 * (1 - 1e-9)
+        assert max(c.get("amplitude", 0.0) for c in of) >= 0.3 * 0.7144 - 1e-9
+        assert min(c.get("damping", 1.0) for c in of) == 0.0
+        assert max(c["load"] for c in of if c["kind"] == "arm at rest") == 300.0
     assert len(sweeps(quick=True, seed=0)) < len(cases) / 5
+
+
+def test_a_case_of_the_full_arm_is_solved() -> None:
+    case = next(c for c in sweeps(quick=True, seed=0) if c["sweep"] == "full arm: slack and taut in turn")
+    found = work(case)
+    assert found["outcome"] == "ok" and found["error"] < 1e-2
