@@ -235,7 +235,8 @@ def _colours(values: Array) -> Any:
 
 def _colour_bar(figure: Figure, axis: Any, colours: Any) -> None:
     if colours.norm.vmax != 1.0:
-        figure.colorbar(colours, ax=axis, shrink=0.6, pad=0.08, label="tension (N)")
+        solid = hasattr(axis, "get_zlim")  # the box of a 3-D axis leaves a margin of its own
+        figure.colorbar(colours, ax=axis, shrink=0.6, pad=0.0 if solid else 0.02, label="tension (N)")
 
 
 def _draw_arm(axis: Any, shape: Shape, k: int, colours: Any) -> None:
@@ -257,9 +258,9 @@ def _frame_3d(axis: Any, points: Array) -> None:
     middle, side = 0.5 * (low + high), np.maximum(high - low, FLATTEST * np.max(high - low)) * 1.05
     for name, m, width in zip("xyz", middle, side, strict=True):
         getattr(axis, f"set_{name}lim")(m - 0.5 * width, m + 0.5 * width)
-        getattr(axis, f"set_{name}label")(f"{name} (mm)")
+        getattr(axis, f"set_{name}label")(f"{name} (mm)", labelpad=7.0)
         getattr(axis, f"{name}axis").set_major_locator(MaxNLocator(max(2, round(6 * width / side.max()))))
-    axis.set_box_aspect(side, zoom=0.88)
+    axis.set_box_aspect(side, zoom=0.8)
     axis.view_init(elev=20, azim=-62)
 
 
