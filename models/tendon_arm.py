@@ -8,6 +8,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models import rod
+from pisplit.models.calibrated import CalibratedTendons
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,12 @@ class TendonArm:
     @property
     def passive(self) -> rod.Scene:
         """The arm without its tendons."""
-        return self.scene.without(rod.Tendons)
+        return self.scene.without(rod.Tendons).without(CalibratedTendons)
 
     @property
     def tendon_angles(self) -> Array:
         """Angle (m,) of each tendon about the backbone in rad."""
-        tendons = next(t for t in self.scene.terms if isinstance(t, rod.Tendons))
+        tendons = next(t for t in self.scene.terms if isinstance(t, rod.Tendons | CalibratedTendons))
         return np.arctan2(*np.asarray(tendons.offsets).T[::-1])
 
     @property

@@ -12,11 +12,16 @@ from pisplit.checks import non_negative, positive
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.estimator import Equilibria, Estimator
+from pisplit.moments import Moments
 from pisplit.phase import PhaseSamples
 from pisplit.scaling import column_scales
 from pisplit.splitting import Solver, SplitContext, SplitFit, Splitting, pair_moments
 
 Array = NDArray[np.float64]
+
+#: Quantities of the twin that change by less than this part of their size are no regressors: the axial strain of a
+#: backbone that hardly stretches would tell a model everything, in digits that no twin gets right and no sensor reads.
+RESOLUTION = 1e-4
 
 
 class TwinEDMDc(Estimator):
@@ -31,7 +36,7 @@ class TwinEDMDc(Estimator):
 
     theta         dictionary; with :class:`pisplit.observables.Bilinear` the model is bilinear
     alpha         weight of the twin, or "cv": chosen on roll-outs of held-out training episodes
-    twin_alpha    mu, relative to the mean diagonal of the twin's Gram matrix
+    twin_alpha    mu, relative to the mean variance of the twin's columns; the constant carries no penalty
     scale         column scales by the spread of the twin's data: "quantity", "column" or None
     alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
 
@@ -116,20 +121,25 @@ class Fusion:
         moments = pair_moments(theta, twin)
         self.context = context
         self.scale = column_scales(moments.std[:size], theta.column_quantities, scale)
+        self.still = _still(moments, theta.column_quantities)
         self.own = self.scale[theta.learned_columns]
-        rows = self._rows(moments.scaled(np.concatenate([self.scale, self.own])).rows(centred=False), len(twin))
-        a, y = rows[:, :size], rows[:, size:]
-        unit = twin_alpha * float((a**2).sum()) / size
-        stacked = np.vstack([a, np.sqrt(unit) * np.eye(size)])
-        q, self.triangle = scipy.linalg.qr(stacked, mode="economic")
+        self.constant = theta.constant_column
+        self.shift = moments.mean[:size] / self.scale
+        if self.constant is None:
+            self.shift[:] = 0.0
+        else:
+            self.shift[self.constant] = 0.0
+        a, y = self._means(moments)
+        penalty = twin_alpha * float(np.mean((moments.std[:size] / self.scale)[~self.still] ** 2))
+        ridge = np.sqrt(penalty) * np.eye(size)
+        if self.constant is not None:
+            ridge[self.constant] = 0.0
+        q, self.triangle = scipy.linalg.qr(np.vstack([a, ridge]), mode="economic")
         self.prior = scipy.linalg.solve_triangular(self.triangle, q[: len(a)].T @ y).T
 
     def solver(self, pairs: Pairs) -> Solver:
         """A function alpha -> fit for these pairs."""
-        size = self.context.theta.n_columns
-        moments = self.context.moments(pairs).scaled(np.concatenate([self.scale, self.own]))
-        rows = self._rows(moments.rows(centred=False), moments.n_samples)
-        a, y = rows[:, :size], rows[:, size:]
+        a, y = self._means(self.context.moments(pairs))
         whitened = scipy.linalg.solve_triangular(self.triangle, a.T, trans="T").T
         u, s, vt = np.linalg.svd(whitened, full_matrices=False)
         projected = u.T @ (y - a @ self.prior.T)
@@ -139,15 +149,34 @@ class Fusion:
             kept = np.zeros_like(s)
             kept[:rank] = s[:rank] / (s[:rank] ** 2 + alpha)
             change = scipy.linalg.solve_triangular(self.triangle, vt.T @ (kept[:, None] * projected)).T
-            k = (self.prior + change) * self.own[:, None] / self.scale
-            return SplitFit(K=k, alpha=alpha, rank=rank)
+            k = self.prior + change
+            if self.constant is not None:
+                k[:, self.constant] -= k @ self.shift
+            return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=rank)
 
         return solve
 
-    @staticmethod
-    def _rows(rows: Array, n: int) -> Array:
-        """Rows whose squares are means over the ``n`` samples they stand for."""
-        return rows / np.sqrt(n)
+    def _means(self, moments: Moments) -> tuple[Array, Array]:
+        """Rows of scaled columns about the twin's mean, and of their successors, whose squares are means of samples."""
+        size = len(self.scale)
+        rows = moments.scaled(np.concatenate([self.scale, self.own])).rows(centred=False) / np.sqrt(moments.n_samples)
+        a = rows[:, :size].copy()
+        if self.constant is not None:
+            a -= np.outer(a[:, self.constant], self.shift)
+        a[:, self.still] = 0.0
+        return a, rows[:, size:]
+
+
+def _still(moments: Moments, quantities: Sequence[str]) -> NDArray[np.bool_]:
+    """Whether each column (k,) is of a quantity that hardly changes; the constant is none."""
+    labels = np.array(quantities)
+    mean, std = moments.mean[: len(labels)], moments.std[: len(labels)]
+    still = np.zeros(len(labels), dtype=bool)
+    for label in set(quantities):
+        of = labels == label
+        spread = np.linalg.norm(std[of])
+        still[of] = 0.0 < spread < RESOLUTION * np.linalg.norm(mean[of])
+    return still
 
 
 def _check_alike(d1: Episodes, twin: Episodes) -> None:

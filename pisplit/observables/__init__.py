@@ -13,6 +13,7 @@ from pisplit.observables.expressions import CoordinateSource, Equilibrium, Expre
 from pisplit.observables.fourier import Fourier, RandomFourier
 from pisplit.observables.hinges import Hinge, Slack
 from pisplit.observables.polynomials import Polynomials
+from pisplit.observables.principal import Principal
 from pisplit.observables.radial import Radial
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Names",
     "Observable",
     "Polynomials",
+    "Principal",
     "Product",
     "Radial",
     "RandomFourier",
