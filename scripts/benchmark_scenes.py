@@ -211,7 +211,7 @@ def full_arm(report: Report, steps: int) -> None:
     scene = rod.Scene(rod.Rod(LENGTH, SECTION, MATERIAL, "cosserat"), *terms)
     fine = scene.with_nodes(scene.nodes + 4)
     u = commands(scene, steps)
-    simulator, rest = scene.simulator(DT), scene.statics().solve(u[0] * 0.0).state
+    simulator, rest = scene.simulator(DT), scene.statics().solve().state
     run, exact = simulator.run(u, rest), fine.simulator(DT, rtol=1e-7).run(u)
     off = np.linalg.norm(run.fields(1)[:, 0, :3] - exact.fields(1)[:, 0, :3], axis=1).max() / LENGTH
     name = f"full Cosserat arm, defaults (K={scene.nodes})"

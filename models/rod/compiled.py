@@ -52,7 +52,10 @@ class CompiledScene(Scene):
 
     def variational(self) -> CompiledScene:
         """The twin that keeps energy (see ``Scene.variational``), as machine code too."""
-        return CompiledScene.of(super().variational())
+        if "_variational_machine_code" not in self.__dict__:
+            self.__dict__["_variational_machine_code"] = CompiledScene.of(super().variational())
+        found: CompiledScene = self.__dict__["_variational_machine_code"]
+        return found
 
     @property
     def machine_code(self) -> bool:

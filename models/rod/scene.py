@@ -320,13 +320,16 @@ class Scene:
     def variational(self) -> Scene:
         """The same scene with equations that keep its energy, for undamped spatial rods: see ``VariationalBalance``.
 
-        Raises ValueError for a base that moves.
+        Made once. Raises ValueError for a base that moves.
         """
         from pisplit.models.rod.variational import VariationalBalance
 
         if any(isinstance(t, Base) and (t.inputs or t.moves) for t in self.terms):
             raise ValueError("variational equations need a resting base; give Base(...) a fixed pose or leave it out")
-        return _rebuild(self.rod, self.terms, self.element_nodes, VariationalBalance)
+        if "_variational" not in self.__dict__:
+            self.__dict__["_variational"] = _rebuild(self.rod, self.terms, self.element_nodes, VariationalBalance)
+        found: Scene = self.__dict__["_variational"]
+        return found
 
     def energies(self, x: ArrayLike) -> Energies:
         """Kinetic, elastic and gravity energy in J of states ``x`` (N, n_states): see ``Energies``."""
