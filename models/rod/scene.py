@@ -294,9 +294,13 @@ class Scene:
         one warning is logged and the scene is evaluated as before.
         """
         from pisplit.models.rod.compiled import CompiledScene
+        from pisplit.models.rod.trajectory import equations_of_motion
 
         made = CompiledScene.of(self)
-        made.build([made.motion_residual, made.statics().residual_function, made.field_map(stations).function])
+        moving = equations_of_motion(made)  # where it is the variational twin, nothing moves by the usual equations
+        for scene in dict.fromkeys((made, moving)):
+            functions = [scene.statics().residual_function, scene.field_map(stations).function]
+            scene.build([*functions, scene.motion_residual] if scene is moving else functions)
         return made
 
     def codegen(self, path: str | Path, dt: float, substeps: int = 8, stations: int = 6) -> Exported:
