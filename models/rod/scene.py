@@ -297,7 +297,8 @@ class Scene:
         from pisplit.models.rod.trajectory import equations_of_motion
 
         made = CompiledScene.of(self)
-        moving = equations_of_motion(made)  # where it is the variational twin, nothing moves by the usual equations
+        # Where the variational twin moves the scene, nothing moves by the usual equations.
+        moving = made if equations_of_motion(made) is made else made.variational()
         for scene in dict.fromkeys((made, moving)):
             functions = [scene.statics().residual_function, scene.field_map(stations).function]
             scene.build([*functions, scene.motion_residual] if scene is moving else functions)
