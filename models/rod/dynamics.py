@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 #: Order limit of the BDF formulas where nothing damps the free strains: orders above 2 are unstable on undamped waves.
 UNDAMPED_ORDER = 2
 #: Internal steps over one control interval, or over one natural period where that is longer, after which IDAS gives up.
-#: Ordinary motions take 20 to 200 of them, undamped waves a few thousand, undamped waves with shear and stretch after a
-#: jump of a tendon up to 10 000.
+#: Ordinary motions take 20 to 200 of them.
 MAX_STEPS = 10_000
+#: The same where some free strain is not damped: waves take a few thousand, under jumping tendons up to 25 000.
+MAX_STEPS_UNDAMPED = 50_000
 #: The same while many intervals are one call: a run that is bound to fail spends its steps in one interval and once.
 MAX_STEPS_TOGETHER = 2_000
 #: Ways to start IDAS in the order they are tried: what of y0' the motion of ``Simulator._build`` carries (strain rates,
@@ -152,7 +153,8 @@ class Simulator(Propagation):
         }
         if energy:
             dae["quad"] = powers(scene)(x[:n], x[n:], u)
-        rate, most = scene.rod.bending_rate, MAX_STEPS if steps == 1 else MAX_STEPS_TOGETHER
+        rate, alone = scene.rod.bending_rate, MAX_STEPS if scene.damped else MAX_STEPS_UNDAMPED
+        most = alone if steps == 1 else MAX_STEPS_TOGETHER
         rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
         nominal = np.concatenate([scene.nominal_strains * rates**k for k in range(3)])
         options = {
