@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 UNKNOWN = ("q", "omega")
 #: A generator whose half step grows more is spurious: the flow map takes its place (paper, "Practical considerations").
 SPURIOUS = 1.1
-#: Deviations below this part of the mean are rounding: a clamped base does not move.
-ROUNDING = 1e-10
+#: A quantity's entries that deviate less than this part of its size are constants, not blown up to unit deviation: the
+#: clamped base, and the strains v of a backbone that neither stretches nor shears.
+CONSTANT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,9 @@ class Units:
         if scaling == "none":
             return cls(np.zeros(x.shape[1]), np.ones(x.shape[1]), np.zeros(u.shape[1]), np.ones(u.shape[1]))
         x0, x1, u0, u1 = x.mean(axis=0), x.std(axis=0), u.mean(axis=0), u.std(axis=0)
-        x1[x1 <= ROUNDING * np.abs(x0)] = 0.0
         quantities = list(episodes.quantities or ())
+        size = np.sqrt(column_scales(x0, quantities) ** 2 + column_scales(x1, quantities) ** 2)
+        x1[x1 <= CONSTANT * size] = 0.0
         return cls(x0, column_scales(x1, quantities, scaling), u0, column_scales(u1, ["u"] * len(u1), scaling))
 
     def episodes(self, given: Episodes) -> Episodes:

@@ -1,0 +1,134 @@
+"""The four panels of the paper's result figure: errors over |D1|, and over |D1| x |D2|."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.colors import LogNorm
+from paper_tables import Row
+
+COLOURS = ("#d95f02", "#7570b3", "#1b6ca8", "#1b9e77", "#e7298a", "#66a61e", "#a6761d", "#666666")
+MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
+KINDS = (("shape", "squared shape error", "m^2"), ("velocity", "squared distal velocity error", "m^2/s^2"))
+plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.25, "savefig.dpi": 130})
+plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False})
+
+
+def draw_panels(
+    rows: Sequence[Row], law: str, methods: Sequence[str], grid_method: str, title: str, path: Path
+) -> None:
+    """Panels (a, b) of all methods with all phase samples, (c, d) of ``grid_method``; PNG and PDF beside it."""
+    mine = [row for row in rows if row["law"] == law]
+    most = max(row["n2"] for row in mine)
+    figure, axes = plt.subplots(2, 2, figsize=(13.0, 9.6), constrained_layout=True)
+    for axis, (what, label, unit), letter in zip(axes[0], KINDS, "ab", strict=True):
+        curves = [row for row in mine if row["n2"] == most]
+        _draw_curves(axis, curves, methods, what, unit)
+        axis.set(title=f"({letter}) {label}, |D2| = {most}", ylabel=f"{label} [${unit}$]")
+    grid = [row for row in mine if row["method"] == grid_method]
+    for axis, (what, label, unit), letter in zip(axes[1], KINDS, "cd", strict=True):
+        _draw_grid(axis, grid, what, f"${unit}$")
+        axis.set(title=f"({letter}) median {label}, {grid_method}")
+    figure.suptitle(title)
+    _save(figure, path)
+
+
+def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: str, unit: str) -> None:
+    """Medians with quartile bands; infinite medians stand on the top edge with the part that diverged."""
+    finite = [v for row in rows for q in ("lower quartile", "median") if np.isfinite(v := row[f"{what} {q} [{unit}]"])]
+    low, high = (min(finite), max(finite)) if finite else (1e-6, 1.0)
+    bottom, top = 0.5 * low, 30.0 * high
+    sizes = sorted({row["n1"] for row in rows})
+    for i, method in enumerate(methods):
+        mine = sorted((row for row in rows if row["method"] == method), key=lambda row: row["n1"])
+        n1 = np.array([row["n1"] for row in mine], dtype=float)
+        lower, median, upper = (
+            np.array([row[f"{what} {q} [{unit}]"] for row in mine])
+            for q in ("lower quartile", "median", "upper quartile")
+        )
+        diverged = np.array([row["diverged"] for row in mine])
+        colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
+        shown = np.minimum(median, top)
+        axis.fill_between(n1, np.minimum(lower, top), np.minimum(upper, top), color=colour, alpha=0.15, lw=0)
+        axis.plot(n1, shown, color=colour, lw=1.6, label=method)
+        fine = np.isfinite(median)
+        axis.plot(n1[fine], median[fine], marker, color=colour, ms=6)
+        axis.plot(n1[~fine], shown[~fine], marker, mfc="white", mec=colour, mew=1.6, ms=9, clip_on=False, zorder=5)
+        for x, y, part in zip(n1, shown, diverged, strict=True):
+            if part > 0.0:
+                offset = (0, -13 - 11 * i) if y >= top else (0, 7)
+                axis.annotate(
+                    f"{100 * part:.0f} %",
+                    (x, y),
+                    xytext=offset,
+                    textcoords="offset points",
+                    ha="center",
+                    fontsize=8,
+                    color=colour,
+                )
+    axis.set_xscale("log", base=2)
+    axis.set_yscale("log")
+    axis.set_ylim(bottom, top)
+    axis.set_xticks(sizes, [_size(size) for size in sizes])
+    axis.minorticks_off()
+    axis.set_xlabel("|D1|, training pairs")
+    axis.legend(
+        loc="lower left",
+        title="median, quartiles; open marker on the edge:\nmedian diverged; %: roll-outs that diverged",
+        title_fontsize=8,
+    )
+
+
+def _draw_grid(axis: Any, rows: Sequence[Row], what: str, unit: str) -> None:
+    """Medians by colour and number; where the median diverged, the fraction of divergent roll-outs and when."""
+    n1s, n2s = (sorted({row[n] for row in rows}) for n in ("n1", "n2"))
+    key = next(name for name in rows[0] if name.startswith(f"{what} median"))
+    values = np.full((len(n2s), len(n1s)), np.nan)
+    for row in rows:
+        i, j = n2s.index(row["n2"]), n1s.index(row["n1"])
+        values[i, j] = row[key] if np.isfinite(row[key]) else np.nan
+        part = f"{100 * row['diverged']:.0f} % diverged"
+        text = f"{row[key]:.1e}" if np.isfinite(row[key]) else "infinite"
+        if row["diverged"] > 0.0:
+            text += f"\n{part}\nat step {row['median step of divergence']:.0f}"
+        axis.text(j, i, text, ha="center", va="center", fontsize=8)
+    axis.set_facecolor("#eeeeee")
+    axis.grid(False)
+    norm = LogNorm(*_range(values))
+    image = axis.imshow(values, origin="lower", aspect="auto", cmap="viridis_r", norm=norm, alpha=0.6)
+    axis.set_xticks(range(len(n1s)), [_size(n) for n in n1s])
+    axis.set_yticks(range(len(n2s)), [_size(n) for n in n2s])
+    axis.set(xlabel="|D1|, training pairs", ylabel="|D2|, phase-space samples")
+    if np.isfinite(values).any():
+        axis.figure.colorbar(image, ax=axis, label=f"median [{unit}]")
+
+
+def _range(values: Any) -> tuple[float, float]:
+    if not np.isfinite(values).any():
+        return 0.1, 1.0
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return (low, high) if high > 1.05 * low else (low / 1.5, high * 1.5)
+
+
+def _size(n: int) -> str:
+    power = int(n).bit_length() - 1
+    return f"$2^{{{power}}}$" if n == 1 << power else f"{n}"
+
+
+def _save(figure: Any, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for suffix in (".png", ".pdf"):
+        handle, name = tempfile.mkstemp(dir=path.parent, suffix=suffix)
+        os.close(handle)
+        figure.savefig(name)
+        os.replace(name, path.with_suffix(suffix))
+    plt.close(figure)
