@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -44,6 +44,14 @@ class Calibration:
     residual: float
     samples: int
     success: bool
+
+    def with_damping(self, factor: float) -> Calibration:
+        """The same with another factor of the backbone's damping."""
+        parameters = replace(self.parameters, damping=positive(factor, "factor"))
+        term = next(t for t in self.arm.scene.terms if isinstance(t, CalibratedTendons))
+        changed = replace(term, values=tuple(parameters.vector(term.radius).tolist()))
+        scene = self.arm.scene.without(CalibratedTendons) + changed
+        return replace(self, arm=replace(self.arm, scene=scene), parameters=parameters)
 
 
 def calibrate_from_equilibria(

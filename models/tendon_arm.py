@@ -49,6 +49,27 @@ class TendonArm:
         )
         return cls(scene, pretension=1e-3, amplitude=10e-3)
 
+    @classmethod
+    def prototype(cls, nodes: int = 5) -> TendonArm:
+        """A softer arm with weak tendons: 0.5 m of steel wire of 1 mm radius (E = 207 GPa, 8000 kg/m^3).
+
+        Three tendons at 15 mm with 1.6 mm/N, bending and torsion damping 2e-3 N m^2 s, quadratic drag 3e-3 N s^2/m^3,
+        gravity along -x, no pretension: under zero-sum displacements of 12 mm some tendons always hang loose.
+        """
+        length = 0.5
+        material = rod.Elastic(young=207e9, shear=207e9 / 2.6, density=8000.0)
+        scene = rod.Scene(
+            rod.Rod(length=length, section=rod.Circle(1e-3), material=material, strains="kirchhoff"),
+            rod.Gravity((-9.81, 0.0, 0.0)),
+            rod.KelvinVoigt(bending=2e-3, torsion=2e-3),
+            rod.QuadraticDrag(3e-3),
+            rod.Tendons.parallel(
+                offset=15e-3, angles_deg=(0, 120, 240), drive=rod.Displacement(compliance=1.6e-3 / length)
+            ),
+            nodes=nodes,
+        )
+        return cls(scene, pretension=0.0, amplitude=12e-3)
+
     @property
     def passive(self) -> rod.Scene:
         """The arm without its tendons."""

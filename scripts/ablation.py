@@ -1,0 +1,240 @@
+"""Every construction and baseline on the same draws: error of open-loop roll-outs over the number of recorded pairs.
+
+Arms, input laws, noise and wrong physics are scenarios (``arm_scenarios.py``), methods are in ``arm_methods.py``. All
+methods get the same pairs and the same held-out training episodes for their choices; test episodes are seen by nobody.
+Errors are medians with quartiles over all steps of all test roll-outs of all draws; a roll-out that diverges counts as
+infinite from there on. Cells are kept on disk: a killed run continues.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from arm_methods import methods
+from arm_scenarios import PHASE_SAMPLES, ScenarioSource, scenarios
+from paper_protocol import HELD_OUT, HISTORY, Summary, summary
+from paper_runs import Cell, Result, run_cells, write_text
+from report import Report, parser, run
+
+from pisplit.models.tendon_arm import TendonArm
+
+MAIN = "paper arm"
+BASELINES = ("L-EDMDc", "B-EDMDc")
+INFORMED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq")
+OURS = "PI twin"
+#: Scenarios beside the main one, and the methods they run.
+OTHERS = (*BASELINES, "PI hold", OURS)
+#: Splits that need the table of equilibria over differential pulls.
+TABLED = (*INFORMED, "PI Strang", "PI balanced", "PI hold")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Episodes, draws of every size for the main scenario and for the others; 0 stands for all pairs."""
+
+    training: int
+    test: int
+    sizes: Mapping[int, int]
+    other_sizes: Mapping[int, int]
+
+
+FULL = Plan(120, 20, {8: 5, 16: 5, 64: 5, 128: 5, 512: 3, 0: 1}, {16: 5, 128: 5, 0: 1})
+QUICK = Plan(12, 4, {16: 1, 128: 1}, {16: 1})
+
+
+def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
+    """Cells of one scenario."""
+    main = name == MAIN
+    every = (plan.training - HELD_OUT) * (steps - HISTORY)
+    wanted = list(methods(Path(), 0)) if main else list(OTHERS)
+    for method in wanted:
+        if method in TABLED and name == "independent pulls":
+            continue
+        for size, draws in (plan.sizes if main else plan.other_sizes).items():
+            if method.endswith("one recording") and not 0 < size <= steps - HISTORY:
+                continue
+            if method.endswith("from pairs") and not 16 <= size <= 128:
+                continue
+            if method.endswith("no pairs"):
+                size, draws = 1, 1
+            for seed in range(draws):
+                yield Cell(name, method, size or every, PHASE_SAMPLES, seed)
+
+
+Table = dict[tuple[str, str, int], Summary]
+
+
+def tabulate(results: Mapping[Cell, Result], what: str) -> Table:
+    """Summary by scenario, method and size."""
+    groups: dict[tuple[str, str, int], list[Result]] = {}
+    for cell, result in results.items():
+        groups.setdefault((cell.law, cell.method, cell.n1), []).append(result)
+    return {key: summary([r.errors for r in group], what) for key, group in groups.items()}
+
+
+def text(table: Table, name: str) -> str:
+    """Medians of one scenario, methods by rows; the fraction of divergent roll-outs in brackets where there are any."""
+    sizes = sorted({size for law, _, size in table if law == name})
+    rows = list(dict.fromkeys(method for law, method, _ in table if law == name))
+    lines = [f"{name}: median squared shape error in m^2", f"{'pairs':<30}" + "".join(f"{s:>16}" for s in sizes)]
+    for method in rows:
+        entries = []
+        for size in sizes:
+            found = table.get((name, method, size))
+            if found is None:
+                entries.append("-")
+                continue
+            number = f"{found.median:.1e}" if np.isfinite(found.median) else "diverges"
+            entries.append(number + (f" [{100 * found.diverged:.0f} %]" if found.diverged else ""))
+        lines.append(f"{method:<30}" + "".join(f"{e:>16}" for e in entries))
+    return "\n".join(lines)
+
+
+def gain(table: Table, name: str, size: int, others: Sequence[str]) -> float | None:
+    """Error of the best of ``others`` over that of the twin, where all of them were run."""
+    keys = [(name, method, size) for method in (*others, OURS)]
+    if not all(key in table for key in keys):
+        return None
+    return min(table[key].median for key in keys[:-1]) / table[keys[-1]].median
+
+
+def judge(table: Table, report: Report) -> None:
+    """Figures with their targets, as far as the cells for them were run."""
+    sizes = sorted({size for law, method, size in table if (law, method) == (MAIN, OURS)})
+    median = {(method, size): s.median for (law, method, size), s in table.items() if law == MAIN}
+    for size, factor in ((16, 50.0), (64, 20.0), (128, 10.0)):
+        _record(report, f"best baseline over PI twin, {size} pairs", gain(table, MAIN, size, BASELINES), ">=", factor)
+    _record(report, "informed baselines over PI twin, 8 pairs", gain(table, MAIN, 8, INFORMED), ">=", 5.0)
+    gains = [g for size in sizes if (g := gain(table, MAIN, size, INFORMED)) is not None]
+    _record(report, "informed baselines over PI twin, worst size", min(gains, default=None), ">=", 1.0 / 1.05)
+    every = [median[b, max(sizes)] for b in BASELINES if sizes and (b, max(sizes)) in median]
+    if (OURS, 16) in median and len(every) == len(BASELINES):
+        ratio = median[OURS, 16] / min(every)
+        _record(report, "PI twin at 16 pairs over the best baseline with all", ratio, "<=", 1.0)
+    for above, below, name, bound in (
+        ((f"{OURS}, one recording", 64), (OURS, 64), "one recording of 64 steps over random pairs", 1.5),
+        ((f"{OURS}, no pairs", 1), ("L-EDMDc", 512), "no pairs over L-EDMDc with 512", 1.0),
+    ):
+        if above in median and below in median:
+            _record(report, name, median[above] / median[below], "<=", bound)
+    diverged = [s.diverged for (_, method, size), s in table.items() if method == OURS and size >= 8]
+    _record(report, "divergent roll-outs of PI twin, worst cell", max(diverged, default=None), "<=", 0.0)
+    for name in dict.fromkeys(law for law, _, _ in table if law != MAIN):
+        own = sorted(size for law, method, size in table if (law, method) == (name, OURS))
+        gains = [g for size in own if (g := gain(table, name, size, BASELINES)) is not None]
+        label = f"{name}: best baseline over PI twin, worst size"
+        _record(report, label, min(gains, default=None), ">=", 1.0 / 1.1)
+    for size in sorted(size for law, method, size in table if (law, method) == ("prototype arm", OURS)):
+        square = table["prototype arm", OURS, size].median / TendonArm.prototype().scene.rod.length ** 2
+        report.figure(f"prototype arm, PI twin, {size} pairs", square, "L^2", ("<=", 1.5e-6) if size >= 64 else None)
+
+
+def _record(report: Report, name: str, value: float | None, kind: str, bound: float) -> None:
+    if value is not None:
+        report.figure(name, value, "times" if "divergent" not in name else "of all", (kind, bound))
+
+
+def draw(table: Table, path: Path, what: str) -> None:
+    """One panel a scenario: medians with quartiles over the number of pairs."""
+    names = list(dict.fromkeys(law for law, _, _ in table))
+    columns = min(3, len(names))
+    rows = -(-len(names) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(6.2 * columns, 4.6 * rows), squeeze=False, constrained_layout=True
+    )
+    labels = list(dict.fromkeys(method for _, method, _ in table))
+    colours = {label: plt.get_cmap("tab20")(i % 20) for i, label in enumerate(labels)}
+    finite = [s.median for s in table.values() if np.isfinite(s.median)]
+    top = 3.0 * max(finite)
+    for axis, name in zip(axes.ravel(), names, strict=False):
+        for label in labels:
+            points = sorted((size, s) for (law, method, size), s in table.items() if (law, method) == (name, label))
+            if not points:
+                continue
+            x = np.array([size for size, _ in points])
+            median, lower, upper = (
+                np.minimum([getattr(s, part) for _, s in points], top) for part in ("median", "lower", "upper")
+            )
+            width = 2.4 if label == OURS else 1.3
+            axis.plot(x, median, "o-", color=colours[label], lw=width, ms=4, label=label)
+            axis.fill_between(x, lower, upper, color=colours[label], alpha=0.12, lw=0)
+            gone = np.array([not np.isfinite(s.median) for _, s in points])
+            axis.plot(x[gone], median[gone], "X", color=colours[label], ms=9)
+        axis.set(xscale="log", yscale="log", title=name, xlabel="recorded pairs", ylim=(None, 1.3 * top))
+        axis.set_ylabel(
+            "squared shape error (m$^2$)" if what == "shape" else "squared tip velocity error (m$^2$/s$^2$)"
+        )
+        axis.grid(alpha=0.25, which="both")
+    for axis in axes.ravel()[len(names) :]:
+        axis.axis("off")
+    axes[0, 0].legend(fontsize=7, loc="lower left", ncols=2)
+    figure.suptitle("Open-loop roll-outs of 6 s: medians and quartiles; crosses at the top edge diverge")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def as_csv(tables: Mapping[str, Table]) -> str:
+    """All summaries, one line each."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["scenario", "method", "pairs", "error", "median", "lower", "upper", "divergent"])
+    for what, table in tables.items():
+        for (law, method, size), s in sorted(table.items()):
+            writer.writerow([law, method, size, what, s.median, s.lower, s.upper, s.diverged])
+    return out.getvalue()
+
+
+def main() -> None:
+    made = parser(__doc__ or "", "out/ablation")
+    made.add_argument("--scenario", action="append", default=None, help="one or several scenarios, default all")
+    made.add_argument("--method", action="append", default=None, help="one or several methods, default all")
+    made.add_argument("--workers", type=int, default=-1, help="worker processes, -1: all cores")
+    arguments = made.parse_args()
+    plan, known = (QUICK if arguments.quick else FULL), scenarios()
+    names = arguments.scenario or ([MAIN] if arguments.quick else list(known))
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise ValueError(f"scenario {unknown[0]!r}; expected some of {', '.join(known)}")
+    folder = arguments.out / ("quick" if arguments.quick else "full")
+    found = methods(folder / "twins", arguments.seed)
+    chosen = arguments.method or (["L-EDMDc", "PI hold", OURS] if arguments.quick else list(found))
+    if set(chosen) - set(found):
+        raise ValueError(f"method {sorted(set(chosen) - set(found))[0]!r}; expected some of {', '.join(found)}")
+    (folder / "twins").mkdir(parents=True, exist_ok=True)
+    results: dict[Cell, Result] = {}
+    for name in names:
+        source = ScenarioSource(
+            known[name], folder / "data", plan.training, plan.test, arguments.seed, arguments.workers
+        )
+        data = source.load_or_make()
+        cells = [c for c in dict.fromkeys(cells_of(plan, name, len(data.test.us[0]))) if c.method in chosen]
+        settings = {"seed": arguments.seed, "training": plan.training, "test": plan.test}
+        used = [found[label] for label in dict.fromkeys(c.method for c in cells)]
+        results |= run_cells({name: source}, used, cells, folder / "cells", settings, arguments.workers)
+        print(text(tabulate(results, "shape"), name), flush=True)
+    tables = {what: tabulate(results, what) for what in ("shape", "velocity")}
+    report = Report.of("ablation", arguments)
+    judge(tables["shape"], report)
+    if report.figures:
+        print(report)
+    for what, table in tables.items():
+        draw(table, arguments.out / f"ablation_{what}.png", what)
+    write_text(arguments.out / "ablation.csv", as_csv(tables))
+    report.write(arguments.json)
+
+
+if __name__ == "__main__":
+    run(main)

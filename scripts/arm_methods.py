@@ -1,0 +1,306 @@
+"""The constructions and baselines that the ablation compares, each tuned on held-out training episodes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from arm_scenarios import STATIONS, STEPS, Scenario, coordinates, equilibria, scenarios
+from paper_data import DT
+from paper_protocol import HELD_OUT, Draw, Lifted, Method, Prediction, Predictor, contiguous
+
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc, TwinEDMDc
+from pisplit import observables as ob
+from pisplit.models.arm_physics import ArmPhysics
+from pisplit.models.calibration import Calibration, calibrate_from_equilibria, calibrate_from_pairs
+from pisplit.models.equilibrium import EquilibriumTable, equilibrium_table
+from pisplit.models.generation import make_episodes
+
+#: Half width in m of the table of equilibria, in usual displacements.
+TABLE_WIDTH = 2.2
+#: Softplus width in m of slack features.
+SLACK_WIDTH = 1e-4
+#: Episodes that a twin is rolled out for, and their seed.
+TWIN_EPISODES, TWIN_SEED = 96, 1_000_003
+#: Pairs that damping is identified from, and the step of its logarithm: equal factors share a twin.
+DAMPING_PAIRS, DAMPING_STEP = 24, 0.05
+#: Pairs that tendons are identified from when no equilibria are known.
+TENDON_PAIRS = 16
+#: Ridge of the twin's regression, and numbers of principal components whose products are columns.
+TWIN_ALPHA, COMPONENTS = 1e-5, (0, 4)
+
+
+def methods(folder: Path, seed: int) -> dict[str, Method]:
+    """All methods by name; twins are kept in ``folder``."""
+    twin = TwinMethod(folder, seed)
+    found: dict[str, Callable[[Draw], Predictor]] = {
+        "L-EDMDc": Tuned(LinearEDMDc, linear_dictionaries),
+        "B-EDMDc": Tuned(BilinearEDMDc, bilinear_dictionaries),
+        "L-EDMDc, rod + x_eq": RodCoordinates(LinearEDMDc, seed),
+        "B-EDMDc, rod + x_eq": RodCoordinates(BilinearEDMDc, seed),
+        "PI Strang": Splitting("strang", seed),
+        "PI balanced": Splitting("balanced", seed),
+        "PI hold": Splitting("hold", seed),
+        "PI twin": twin,
+        "PI twin, no pairs": replace(twin, use_pairs=False),
+        "PI twin, tendons from pairs": replace(twin, use_equilibria=False),
+    }
+    found |= {f"{name}, one recording": OneRecording(found[name]) for name in ("L-EDMDc", "B-EDMDc", "PI twin")}
+    return {name: Method(name, fit) for name, fit in found.items()}
+
+
+# Baselines -----------------------------------------------------------------------------------------------------------
+
+
+def linear_dictionaries(draw: Draw) -> list[Dictionary]:
+    """Fields with 0, 1 or 4 delays, with and without slack features of the inputs."""
+    slack = ob.Slack(SLACK_WIDTH)
+    return [
+        _fields(draw, ob.Delays(states=delays, inputs=1), *extra) for delays in (0, 1, 4) for extra in ((), (slack,))
+    ]
+
+
+def bilinear_dictionaries(draw: Draw) -> list[Dictionary]:
+    """Fields with 0 or 1 delays, times the inputs; with and without slack features at 0 delays."""
+    return [
+        _fields(draw, ob.Delays(inputs=1), ob.Bilinear()),
+        _fields(draw, ob.Delays(inputs=1), ob.Slack(SLACK_WIDTH), ob.Bilinear()),
+        _fields(draw, ob.Delays(states=1, inputs=1), ob.Bilinear()),
+    ]
+
+
+def _fields(draw: Draw, *extra: Any) -> Dictionary:
+    data = draw.episodes
+    return Dictionary(ob.Constant(), ob.States(), ob.Inputs(), *extra, n_states=data.n_states, n_inputs=data.n_inputs)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """An estimator with several dictionaries; dictionary and alpha by roll-outs of the held-out episodes."""
+
+    estimator: Callable[..., Any]
+    dictionaries: Callable[[Draw], Sequence[Dictionary]]
+
+    def __call__(self, draw: Draw) -> Predictor:
+        """Fit to the pairs of a draw."""
+        small = compact(draw)
+        fits = [
+            _quietly(
+                self.estimator(theta, alpha="cv", cv_states="shape").fit, small.episodes, small.pairs(theta.n_delays)
+            )
+            for theta in self.dictionaries(small)
+        ]
+        return Lifted(_best(fits).lifted)
+
+
+@dataclass(frozen=True)
+class RodCoordinates:
+    """An estimator in rod coordinates with the equilibrium under u as input, read out by exact kinematics."""
+
+    estimator: Callable[..., Any]
+    seed: int
+
+    def __call__(self, draw: Draw) -> Predictor:
+        """Fit to the pairs of a draw."""
+        small, physics = compact(draw), physics_of(draw.law)
+        theta = physics.dictionary()
+        fit = self.estimator(theta, alpha="cv", cv_states="shape")
+        return Kinematic(_quietly(fit.fit, small.episodes, small.pairs(theta.n_delays)).lifted, physics)
+
+
+@dataclass(frozen=True)
+class Kinematic:
+    """Roll-outs of a model in rod coordinates; points and velocity from the coordinates by the rod's kinematics."""
+
+    model: LiftedModel
+    physics: ArmPhysics
+
+    def __call__(self, episodes: Episodes, start: int) -> Prediction:
+        """Predict steps start + 1 .. end."""
+        model, scene = self.model, self.physics.arm.scene
+        past, n = start - model.n_delays, scene.n_strains
+        z0 = np.stack(
+            [model.lift(x[past : start + 1], u[past:start]) for x, u in zip(episodes.xs, episodes.us, strict=True)]
+        )
+        found = model.rollout(z0, np.stack([u[start:] for u in episodes.us]))
+        first = model.column_names.index(scene.coordinates(STATIONS).names[0])
+        z = found.z[:, 1:, first : first + 2 * n]
+        usable = np.all(np.abs(z) < 1e3 / scene.rod.length * np.repeat([1.0, scene.rod.bending_rate], n), axis=-1)
+        late = np.logical_or.accumulate(~usable, axis=1)
+        rest = np.tile(self.physics.arm.rest_inputs, (*z.shape[:2], 1))
+        state = np.concatenate([np.where(late[..., None], 0.0, z), rest], axis=-1).reshape(-1, scene.n_states)
+        fields = scene.fields(state, STATIONS).reshape(*z.shape[:2], STATIONS, 24)
+        flagged = np.asarray(found.diverged_at)
+        at = np.where(late.any(axis=1), np.argmax(late, axis=1), -1)
+        at = np.where((flagged > 0) & ((at < 0) | (flagged - 1 < at)), flagged - 1, at)
+        return Prediction(fields[..., :3].reshape(*z.shape[:2], -1), fields[:, :, -1, 18:21], at)
+
+
+# Physics-informed ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """PIEDMDc in rod coordinates about the equilibrium under u, or plain Strang; ridge, alpha on held-out roll-outs."""
+
+    split: str
+    seed: int
+
+    def __call__(self, draw: Draw) -> Predictor:
+        """Fit to the pairs and phase-space samples of a draw."""
+        small, physics = compact(draw), physics_of(draw.law)
+        theta, options = physics.dictionary(), physics.options()
+        if self.split == "balanced":
+            options = {name: options[name] for name in ("tangent", "equilibrium", "ports")}
+        given = {} if self.split == "strang" else {"options": options}
+        fit = PIEDMDc(theta, alpha="cv", penalty="ridge", split=self.split, cv_states="shape", **given)
+        fitted = _quietly(fit.fit, small.episodes, small.d2, small.pairs(theta.n_delays))
+        return Kinematic(fitted.lifted, physics)
+
+
+@dataclass(frozen=True)
+class TwinMethod:
+    """Tendons from equilibria (or pairs), damping from pairs, a twin rolled out, then TwinEDMDc on twin and pairs.
+
+    use_pairs        without them the twin has the damping it was told of, and the model is EDMDc on the twin
+    use_equilibria   without them tendons are identified from pairs
+    """
+
+    folder: Path
+    seed: int
+    use_pairs: bool = True
+    use_equilibria: bool = True
+
+    def __call__(self, draw: Draw) -> Predictor:
+        """Fit to the pairs of a draw."""
+        scenario, small = scenarios()[draw.law], compact(draw)
+        calibration = from_equilibria(draw.law, self.seed) if self.use_equilibria else None
+        if self.use_pairs:
+            calibration = self._with_pairs(scenario, small, calibration)
+        assert calibration is not None
+        twin = self._twin(calibration, scenario)
+        fits = []
+        for theta in twin_dictionaries(twin):
+            if self.use_pairs:
+                fit = TwinEDMDc(theta, alpha="cv", twin_alpha=TWIN_ALPHA, cv_states="shape")
+                fits.append(_quietly(fit.fit, small.episodes, twin, small.pairs(theta.n_delays)))
+            else:
+                fit = TwinEDMDc(theta, alpha=1e8, twin_alpha=TWIN_ALPHA)
+                fits.append(fit.fit(twin[:2], twin))
+        return Lifted((_best(fits) if self.use_pairs else fits[-1]).lifted)
+
+    def _with_pairs(self, scenario: Scenario, draw: Draw, first: Calibration | None) -> Calibration:
+        """Damping from pairs after tendons from equilibria, or all of it from pairs."""
+        count = DAMPING_PAIRS if first else TENDON_PAIRS
+        pairs = draw.pairs(1).take(np.arange(min(count, len(draw))))
+        before, after = (coordinates(scenario.known, x) for x in (pairs.x, pairs.x_next))
+        inputs = np.stack([pairs.u_history[:, -1], pairs.u], axis=1)
+        start = first.parameters if first else scenario.first_guess
+        groups = ("damping",) if first else ("tendons", "bending", "damping")
+        found = calibrate_from_pairs(scenario.known, before, after, inputs, DT, groups, start)
+        if first is None:
+            return found
+        steps = np.round(np.log(found.parameters.damping) / DAMPING_STEP)
+        return first.with_damping(float(np.exp(DAMPING_STEP * steps)))
+
+    def _twin(self, calibration: Calibration, scenario: Scenario) -> Episodes:
+        digest = hashlib.sha256(repr((calibration.arm.scene.terms, scenario.law)).encode()).hexdigest()[:16]
+        path = self.folder / f"{digest}.h5"
+        if not path.exists():
+            part = self.folder / f"{digest}-{os.getpid()}.h5"
+            make_episodes(
+                calibration.arm,
+                part,
+                TWIN_EPISODES,
+                STEPS,
+                DT,
+                seed=TWIN_SEED,
+                workers=1,
+                progress=False,
+                law=scenario.law,
+                compiled=True,
+            )
+            os.replace(part, path)
+        return Episodes.load(path)
+
+
+def twin_dictionaries(twin: Episodes) -> list[Dictionary]:
+    """Bilinear dictionaries of the fields, with products of their leading principal components."""
+    states = twin.stacked_states()
+    found = []
+    for number in COMPONENTS:
+        components = ob.Principal.of(states, number, twin.quantities) if number else None
+        products = [ob.compose(ob.Polynomials(2), components)] if components else []
+        found.append(
+            Dictionary(
+                ob.Constant(),
+                ob.States(),
+                *products,
+                ob.Inputs(),
+                ob.Polynomials(2, of="inputs"),
+                ob.Delays(inputs=1),
+                ob.Bilinear(),
+                n_states=twin.n_states,
+                n_inputs=twin.n_inputs,
+            )
+        )
+    return found
+
+
+@lru_cache(maxsize=32)
+def from_equilibria(name: str, seed: int) -> Calibration:
+    """Tendons and bending stiffness of a scenario's arm from its equilibria."""
+    scenario = scenarios()[name]
+    u, rest = equilibria(name, seed)
+    return calibrate_from_equilibria(scenario.known, u, rest, start=scenario.first_guess)
+
+
+@lru_cache(maxsize=16)
+def physics_of(name: str) -> ArmPhysics:
+    """Measured equilibria of the arm, and the backbone as it is known."""
+    scenario = scenarios()[name]
+    if scenario.law != "zero-sum":
+        raise ValueError("the table of equilibria is over differential displacements; this law pulls tendons freely")
+    measured: EquilibriumTable = equilibrium_table(scenario.arm, TABLE_WIDTH * scenario.arm.amplitude)
+    return ArmPhysics(replace(measured, arm=scenario.known), STATIONS)
+
+
+# Shared --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OneRecording:
+    """A method on one contiguous recording of as many steps in place of random pairs."""
+
+    fit: Callable[[Draw], Predictor]
+
+    def __call__(self, draw: Draw) -> Predictor:
+        """Fit to a recording of ``len(draw)`` steps."""
+        return self.fit(replace(draw, rows=contiguous(draw.episodes, len(draw), draw.seed)))
+
+
+def compact(draw: Draw) -> Draw:
+    """The draw with those episodes only that hold pairs or are held out."""
+    used = np.unique(draw.rows[:, 0])
+    total = len(draw.episodes)
+    kept = [*used.tolist(), *range(total - HELD_OUT, total)]
+    rows = np.stack([np.searchsorted(used, draw.rows[:, 0]), draw.rows[:, 1]], axis=1)
+    return replace(draw, episodes=draw.episodes.subset(kept), rows=rows)
+
+
+def _best(fits: Sequence[Any]) -> Any:
+    return min(fits, key=lambda fit: np.nan_to_num(float(np.min(fit.cv_.errors)), nan=np.inf))
+
+
+def _quietly(fit: Callable[..., Any], *arguments: Any) -> Any:
+    """Fit without warnings: divergence on a grid of alphas is what cross-validation is for."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return fit(*arguments)

@@ -1,0 +1,204 @@
+"""What the ablation is run on: arms, input laws, noise, and what the methods are told of the arm (right or wrong)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from paper_data import DT, PaperData
+from scipy.spatial.transform import Rotation
+
+from pisplit import Episodes
+from pisplit.checks import Array
+from pisplit.models import rod
+from pisplit.models.calibrated import TendonParameters
+from pisplit.models.calibration import nominal_parameters
+from pisplit.models.generation import (
+    check_origin,
+    deviations_from_equilibrium,
+    episodes_origin,
+    make_episodes,
+    make_phase_samples,
+    random_targets,
+)
+from pisplit.models.tendon_arm import TendonArm
+
+STEPS, STATIONS = 200, 6
+#: Phase-space samples for the splits that average over D2.
+PHASE_SAMPLES = 2000
+#: Equilibria of the actuated arm that methods may know; their seed differs from those of the trajectories.
+EQUILIBRIA, EQUILIBRIA_SEED = 16, 4711
+#: Noise: positions in m, rotations in rad, velocities and curvatures as parts of their deviation.
+NOISE = {"p": 1e-3, "R": np.deg2rad(1.0), "rates": 0.05}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """An arm, how it is moved and measured, and what is known of it.
+
+    arm     the arm that moves
+    known   the arm that methods are told of: its backbone is f; its tendons are where a drawing has them
+    law     input law
+    noise   factor of ``NOISE`` on training states and equilibria
+    """
+
+    name: str
+    arm: TendonArm
+    known: TendonArm
+    law: str = "zero-sum"
+    noise: float = 0.0
+
+    @property
+    def first_guess(self) -> TendonParameters:
+        """Tendons as a drawing may have them: turned by 8 degrees, 15 % too far out, half as stiff, 0.5 mm too long."""
+        told = nominal_parameters(self.known)
+        turn = Rotation.from_euler("z", 8.0, degrees=True).as_matrix()[:2, :2]
+        return replace(
+            told, offset=1.15 * told.offset @ turn.T, stiffness=0.5 * told.stiffness, slack=told.slack + 5e-4
+        )
+
+
+@dataclass(frozen=True)
+class ScenarioSource:
+    """Data of a scenario in files of ``folder``: training and test episodes."""
+
+    scenario: Scenario
+    folder: Path
+    training: int
+    test: int
+    seed: int
+    workers: int = -1
+    progress: bool = True
+
+    def load_or_make(self) -> PaperData:
+        """Training with the scenario's noise, test without."""
+        scenario, total = self.scenario, self.training + self.test
+        clean = self._episodes(total)
+        training, test = clean[: self.training], clean[self.training :]
+        deviations, rates = deviations_from_equilibrium(scenario.arm, training[:8])
+        path = self.folder / f"d2-{self._stem}-{PHASE_SAMPLES}.h5"
+        d2 = make_phase_samples(
+            scenario.known,
+            path,
+            PHASE_SAMPLES,
+            rates,
+            deviations,
+            seed=self.seed,
+            workers=1,
+            progress=False,
+            law=scenario.law,
+        )
+        return PaperData(scenario.law, noisy(training, scenario.noise, self.seed), test, d2)
+
+    @property
+    def _stem(self) -> str:
+        scenario = self.scenario
+        return f"{scenario.name.replace(' ', '-')}-seed{self.seed}"
+
+    def _episodes(self, total: int) -> Episodes:
+        scenario, path = self.scenario, self.folder / f"d1-{self._stem}-{total}x{STEPS}.h5"
+        if path.exists():
+            found = Episodes.load(path)
+            origin = episodes_origin(scenario.arm, STEPS, DT, seed=self.seed, law=scenario.law)
+            check_origin(path, found.provenance, origin)
+            return found
+        return make_episodes(
+            scenario.arm,
+            path,
+            total,
+            STEPS,
+            DT,
+            seed=self.seed,
+            workers=self.workers,
+            progress=self.progress,
+            law=scenario.law,
+            compiled=True,
+        )
+
+
+def scenarios() -> dict[str, Scenario]:
+    """All scenarios by name."""
+    paper, soft = TendonArm.paper(), TendonArm.prototype()
+    found = [
+        Scenario("paper arm", paper, paper),
+        Scenario("independent pulls", paper, paper, law="independent"),
+        Scenario("prototype arm", soft, soft),
+        Scenario("noise", paper, paper, noise=1.0),
+        Scenario("E 20 % too high", paper, _wrong(paper, young=1.2)),
+        Scenario("E 20 % too low", paper, _wrong(paper, young=0.8)),
+        Scenario("damping twice", paper, _wrong(paper, damping=2.0)),
+        Scenario("damping half", paper, _wrong(paper, damping=0.5)),
+        Scenario("capstan friction", _with_friction(paper, 0.2), paper),
+        Scenario("tip load", _with_tip_load(paper, 0.01), paper),
+    ]
+    return {scenario.name: scenario for scenario in found}
+
+
+def noisy(episodes: Episodes, factor: float, seed: int) -> Episodes:
+    """Episodes whose measured states carry ``factor`` times ``NOISE``; inputs are what they are."""
+    if factor == 0.0:
+        return episodes
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(7,)))
+    groups = {q: np.array([i for i, label in enumerate(episodes.quantities or ()) if label == q]) for q in "pRwq"}
+    groups["omega"] = np.array([i for i, label in enumerate(episodes.quantities or ()) if label == "omega"])
+    states = episodes.stacked_states()
+    spread = {q: float(np.sqrt(np.mean(states[:, i].std(axis=0) ** 2))) for q, i in groups.items()}
+    changed = []
+    for x in episodes.xs:
+        y = x.copy()
+        y[:, groups["p"]] += factor * NOISE["p"] * rng.standard_normal((len(x), len(groups["p"])))
+        turns = Rotation.from_rotvec(factor * NOISE["R"] * rng.standard_normal((len(x) * STATIONS, 3)))
+        frames = x[:, groups["R"]].reshape(-1, 3, 3) @ turns.as_matrix()
+        y[:, groups["R"]] = frames.reshape(len(x), -1)
+        for q in ("w", "q", "omega"):
+            y[:, groups[q]] += factor * NOISE["rates"] * spread[q] * rng.standard_normal((len(x), len(groups[q])))
+        changed.append(y)
+    return replace(episodes, xs=changed)
+
+
+@lru_cache(maxsize=16)
+def equilibria(name: str, seed: int) -> tuple[Array, Array]:
+    """Displacements (16, m) in m and measured rod coordinates (16, 2n) of the arm of a scenario at rest."""
+    scenario = scenarios()[name]
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EQUILIBRIA_SEED,)))
+    u = random_targets(scenario.arm, EQUILIBRIA, rng, scenario.law)
+    solved = scenario.arm.scene.statics().solve_many(u)
+    u, states = u[solved.success], solved.states[solved.success]
+    fields = scenario.arm.scene.fields(states, STATIONS).reshape(len(u), -1)
+    found = scenario.arm.scene.field_map(STATIONS)
+    still = Episodes([fields], [u[1:]], DT, quantities=found.quantities)
+    measured = noisy(still, scenario.noise, seed + 1).xs[0]
+    return u, coordinates(scenario.known, measured)
+
+
+def coordinates(arm: TendonArm, fields: Array) -> Array:
+    """Rod coordinates (N, 2n) of measured fields (N, 24 S)."""
+    function = arm.scene.coordinates(STATIONS).function
+    return np.asarray(function.map(len(fields))(np.asarray(fields).T)).T
+
+
+def _wrong(arm: TendonArm, young: float = 1.0, damping: float = 1.0) -> TendonArm:
+    """The arm with another modulus and other material damping of its backbone."""
+    scene = arm.scene
+    material = scene.rod.material
+    body = replace(scene.rod, material=replace(material, young=young * material.young, shear=young * material.shear))
+    terms = [
+        rod.KelvinVoigt(bending=damping * t.bending, torsion=damping * t.torsion)
+        if isinstance(t, rod.KelvinVoigt)
+        else t
+        for t in scene.terms
+    ]
+    return replace(arm, scene=rod.Scene(body, *terms, nodes=scene.nodes))
+
+
+def _with_friction(arm: TendonArm, mu: float) -> TendonArm:
+    """The arm with capstan friction in its tendons."""
+    terms = [replace(t, friction=mu) if isinstance(t, rod.Tendons) else t for t in arm.scene.terms]
+    return replace(arm, scene=rod.Scene(arm.scene.rod, *terms, nodes=arm.scene.nodes))
+
+
+def _with_tip_load(arm: TendonArm, mass: float) -> TendonArm:
+    """The arm with a mass in kg at its tip that nobody is told of."""
+    return replace(arm, scene=arm.scene + rod.PointMass(mass, arm.scene.rod.length))
