@@ -1,0 +1,114 @@
+"""Tendons identified from equilibria or pairs: the truth is found from a wrong drawing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pisplit.models import rod
+from pisplit.models.calibrated import CalibratedTendons, TendonParameters
+from pisplit.models.calibration import calibrate_from_equilibria, calibrate_from_pairs, nominal_parameters
+from pisplit.models.generation import random_differential
+from pisplit.models.tendon_arm import TendonArm
+
+
+@pytest.fixture(scope="module")
+def arm() -> TendonArm:
+    return TendonArm.paper(nodes=4)
+
+
+@pytest.fixture(scope="module")
+def wrong(arm: TendonArm) -> TendonParameters:
+    told = nominal_parameters(arm)
+    c, s = np.cos(0.14), np.sin(0.14)
+    offset = 1.15 * told.offset @ np.array([[c, s], [-s, c]])
+    return replace(told, offset=offset, stiffness=0.5 * told.stiffness, slack=told.slack + 5e-4)
+
+
+def equilibria(arm: TendonArm, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    u = arm.rest_inputs + random_differential(arm, n, np.random.default_rng(seed))
+    found = arm.scene.statics().solve_many(u)
+    assert found.success.all()
+    return u, found.states[:, : arm.scene.n_strains]
+
+
+def test_parameters_and_their_vector_are_the_same() -> None:
+    values = np.random.default_rng(0).normal(size=15)
+    found = TendonParameters.of_vector(values, 0.015).vector(0.015)
+    np.testing.assert_allclose(found, values, atol=1e-12)
+
+
+def test_sixteen_equilibria_and_a_wrong_drawing_give_the_arm_to_a_twentieth_of_a_millimetre(
+    arm: TendonArm, wrong: TendonParameters
+) -> None:
+    found = calibrate_from_equilibria(arm, *equilibria(arm, 16, 0), start=wrong)
+    assert found.success
+    assert found.residual < 1e-3
+    u, strains = equilibria(arm, 20, 1)
+    solved = found.arm.scene.statics().solve_many(u)
+    n = arm.scene.n_strains
+    exact = arm.scene.fields(np.hstack([strains, np.zeros_like(strains), u]))[..., :3]
+    twin = arm.scene.fields(np.hstack([solved.states[:, :n], np.zeros_like(strains), u]))[..., :3]
+    assert np.abs(twin - exact).max() < 5e-5
+    np.testing.assert_allclose(found.parameters.offset, nominal_parameters(arm).offset, atol=1e-4)
+    assert found.parameters.bending == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_backbone_told_too_stiff_is_found_by_its_weight(arm: TendonArm, wrong: TendonParameters) -> None:
+    body = arm.scene.rod
+    stiff = replace(body, material=replace(body.material, young=1.2 * 207e9, shear=1.2 * 207e9 / 2.6))
+    known = replace(arm, scene=rod.Scene(stiff, *arm.scene.terms, nodes=arm.scene.nodes))
+    found = calibrate_from_equilibria(known, *equilibria(arm, 16, 0), start=wrong)
+    assert found.parameters.bending == pytest.approx(1.0 / 1.2, rel=2e-3)
+
+
+def test_damping_is_found_from_pairs_and_the_twin_moves_like_the_arm(arm: TendonArm, wrong: TendonParameters) -> None:
+    n = arm.scene.n_strains
+    rng = np.random.default_rng(2)
+    u = arm.rest_inputs + random_differential(arm, 9, rng)
+    motion = arm.scene.simulator(dt=0.03, rtol=1e-7).run(u[1:], arm.scene.statics().solve(u[0]).state).x
+    terms = [rod.KelvinVoigt(1e-3, 1e-3) if isinstance(t, rod.KelvinVoigt) else t for t in arm.scene.terms]
+    known = replace(arm, scene=rod.Scene(arm.scene.rod, *terms, nodes=arm.scene.nodes))
+    first = calibrate_from_equilibria(known, *equilibria(arm, 16, 0), start=wrong)
+    before, after = motion[:-1, : 2 * n], motion[1:, : 2 * n]
+    moves = np.stack([u[:-1], u[1:]], axis=1)
+    found = calibrate_from_pairs(known, before, after, moves, 0.03, ("damping",), first.parameters)
+    assert found.parameters.damping == pytest.approx(0.5, rel=5e-3)
+    assert found.samples == 8
+    twin = first.with_damping(found.parameters.damping).arm.scene
+    moved = twin.simulator(dt=0.03, rtol=1e-7).run(u[1:], motion[0]).x
+    exact = arm.scene.fields(motion)[..., :3]
+    assert np.abs(arm.scene.fields(moved)[..., :3] - exact).max() < 5e-3 * np.abs(exact - exact[0]).max()
+
+
+def test_calibrated_tendons_are_the_tendons_they_were_identified_from(arm: TendonArm) -> None:
+    """The same geometry and stiffness: statics agree as far as the two forms of the elastic law do."""
+    told = nominal_parameters(arm)
+    radius = 0.015
+    damping = next(t for t in arm.scene.terms if isinstance(t, rod.KelvinVoigt))
+    term = CalibratedTendons(3, radius, tuple(replace(told, rounding=1e-5).vector(radius).tolist()), damping)
+    twin = arm.passive + term
+    u = arm.rest_inputs + np.array([2e-3, -1e-3, -1e-3])
+    exact, found = arm.scene.statics().solve(u), twin.statics().solve(u)
+    assert exact.success
+    assert found.success
+    np.testing.assert_allclose(found.state[:12], exact.state[:12], atol=2e-3 * np.abs(exact.state[:12]).max())
+
+
+def test_wrong_arguments_are_refused_in_one_line(arm: TendonArm) -> None:
+    u, strains = equilibria(arm, 2, 0)
+    for arguments, text in (
+        ({"free": ("damping",)}, "equilibria say nothing of damping"),
+        ({"free": ("colour",)}, "expected some of tendons, bending, damping"),
+        (
+            {
+                "start": replace(
+                    nominal_parameters(arm), stiffness=np.ones(2), offset=np.ones((2, 2)), slack=np.zeros(2)
+                )
+            },
+            "the arm has 3 inputs",
+        ),
+    ):
+        with pytest.raises(ValueError, match=text) as found:
+            calibrate_from_equilibria(arm, u, strains, **arguments)
+        assert "\n" not in str(found.value)
