@@ -242,3 +242,22 @@ def test_large_products_are_kept_whole_and_give_the_same_columns() -> None:
     same = [many.column_names.index(few.column_names[i]) for i in rest]
     u = np.zeros((7, 1))
     np.testing.assert_array_equal(many.evaluate_static(x, u)[:, same], few.evaluate_static(x, u)[:, rest])
+
+
+def test_principal_components_are_uncorrelated_and_of_unit_variance() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(500, 2)) @ rng.normal(size=(2, 5)) + 3.0
+    theta = Dictionary(ob.Principal.of(x, 2), n_states=5, n_inputs=0)
+    columns = theta.present(x)
+    np.testing.assert_allclose(columns.mean(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(columns.T @ columns / 500, np.eye(2), atol=1e-10)
+    quadratic = Dictionary(ob.compose(ob.Polynomials(2), ob.Principal.of(x, 2)), n_states=5, n_inputs=0)
+    np.testing.assert_allclose(quadratic.present(x)[:, 1], columns[:, 0] * columns[:, 1], atol=1e-12)
+
+
+def test_principal_components_that_the_data_do_not_have_are_refused() -> None:
+    x = np.outer(np.arange(6.0), np.ones(3))
+    with pytest.raises(ValueError, match="vary in 1 directions"):
+        ob.Principal.of(x, 2)
+    with pytest.raises(ValueError, match="have fewer"):
+        ob.Principal.of(x, 4)
