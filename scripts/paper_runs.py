@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import joblib
 import numpy as np
-from paper_data import PaperData, Source
+from paper_data import PaperData
 from paper_protocol import Draw, Errors, Method, all_pairs, evaluate, random_pairs
 from tqdm import tqdm
 
@@ -44,6 +44,13 @@ class Result:
     errors: Errors
     seconds: float
     facts: Mapping[str, Any]
+
+
+class Source(Protocol):
+    """Where the data of a law come from."""
+
+    def load_or_make(self) -> PaperData:
+        """The data; a killed run continues."""
 
 
 @dataclass(frozen=True)
