@@ -19,6 +19,10 @@ from paper_tables import Row
 COLOURS = ("#d95f02", "#7570b3", "#1b6ca8", "#1b9e77", "#e7298a", "#66a61e", "#a6761d", "#666666")
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
 KINDS = (("shape", "squared shape error", "m^2"), ("velocity", "squared distal velocity error", "m^2/s^2"))
+NOTE = (
+    "Lines: median over all steps of all test roll-outs and draws; bands: quartiles. "
+    "Open markers on the upper edge: the median roll-out diverged; %: roll-outs that diverged."
+)
 plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.25, "savefig.dpi": 130})
 plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False})
 
@@ -29,7 +33,8 @@ def draw_panels(
     """Panels (a, b) of all methods with all phase samples, (c, d) of ``grid_method``; PNG and PDF beside it."""
     mine = [row for row in rows if row["law"] == law]
     most = max(row["n2"] for row in mine)
-    figure, axes = plt.subplots(2, 2, figsize=(13.0, 9.6), constrained_layout=True)
+    figure, axes = plt.subplots(2, 2, figsize=(13.5, 10.5))
+    figure.subplots_adjust(left=0.07, right=0.98, bottom=0.06, top=0.86, wspace=0.16, hspace=0.3)
     for axis, (what, label, unit), letter in zip(axes[0], KINDS, "ab", strict=True):
         curves = [row for row in mine if row["n2"] == most]
         _draw_curves(axis, curves, methods, what, unit)
@@ -38,7 +43,10 @@ def draw_panels(
     for axis, (what, label, unit), letter in zip(axes[1], KINDS, "cd", strict=True):
         _draw_grid(axis, grid, what, f"${unit}$")
         axis.set(title=f"({letter}) median {label}, {grid_method}")
-    figure.suptitle(title)
+    figure.suptitle(title, y=0.985)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", ncols=min(len(methods), 6), bbox_to_anchor=(0.5, 0.965))
+    figure.text(0.5, 0.905, NOTE, ha="center", fontsize=9)
     _save(figure, path)
 
 
@@ -81,11 +89,6 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
     axis.set_xticks(sizes, [_size(size) for size in sizes])
     axis.minorticks_off()
     axis.set_xlabel("|D1|, training pairs")
-    axis.legend(
-        loc="lower left",
-        title="median, quartiles; open marker on the edge:\nmedian diverged; %: roll-outs that diverged",
-        title_fontsize=8,
-    )
 
 
 def _draw_grid(axis: Any, rows: Sequence[Row], what: str, unit: str) -> None:

@@ -78,7 +78,7 @@ class Direct:
 
     choices: Choices
     bilinear: bool
-    cache: Cache = field(default_factory=lambda: Cache())
+    cache: Cache = field(default_factory=lambda: Cache(), repr=False)
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs of a draw."""
@@ -98,7 +98,7 @@ class Split:
     """
 
     choices: Choices
-    cache: Cache = field(default_factory=lambda: Cache())
+    cache: Cache = field(default_factory=lambda: Cache(), repr=False)
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs and the phase-space samples of a draw."""

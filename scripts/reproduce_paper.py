@@ -10,8 +10,8 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one thread a worker
 
@@ -19,7 +19,7 @@ import numpy as np
 from paper_data import PaperData, Scale, Source
 from paper_figures import draw_panels
 from paper_methods import Choices, paper_methods
-from paper_protocol import Method
+from paper_protocol import Draw, Method, Predictor
 from paper_runs import Cell, curve_cells, largest, run_cells, write_text
 from paper_tables import Row, finite, printed, table, write_csv
 from paper_variations import VARIATIONS, vary
@@ -102,9 +102,9 @@ def _run_protocol(
     report: Report,
 ) -> None:
     """All cells of a protocol; figures, CSV and JSON of each law."""
-    methods, grid_method = PROTOCOLS[name](sources)
+    methods, grid_method, d2_sizes = PROTOCOLS[name](plan, given)
     folder = given.out / kind / name
-    cells = plan_cells(plan, data, [method.name for method in methods], grid_method)
+    cells = plan_cells(replace(plan, d2_sizes=d2_sizes), data, [method.name for method in methods], grid_method)
     settings = {"scale": asdict(plan.scale), "seed": given.seed, "methods": [repr(m.fit)[:2000] for m in methods]}
     results = run_cells(sources, methods, cells, folder, settings, given.workers)
     rows = table(results)
@@ -142,13 +142,41 @@ def plan_cells(plan: Plan, data: Mapping[str, PaperData], methods: Sequence[str]
     return list(cells)
 
 
-def _paper(sources: Mapping[str, Source]) -> tuple[tuple[Method, ...], str]:
-    return paper_methods(Choices()), "PI-EDMDc"
+#: Methods of a protocol, the one that is drawn over |D1| x |D2|, and |D2| there.
+Protocol = tuple[tuple[Method, ...], str, tuple[int, ...]]
 
 
-#: Methods of a protocol, and the one that is drawn over |D1| x |D2|.
-PROTOCOLS = {"paper": _paper}
-TITLES = {"paper": "The paper's protocol as printed"}
+def _paper(plan: Plan, given: argparse.Namespace) -> Protocol:
+    return paper_methods(Choices()), "PI-EDMDc", plan.d2_sizes
+
+
+def _ours(plan: Plan, given: argparse.Namespace) -> Protocol:
+    """The fair protocol: everything tuned on held-out episodes; its best method needs no phase-space samples."""
+    from arm_methods import methods
+
+    found = methods(given.out / "data" / "twins", given.seed)
+    chosen = tuple(Method(name, OfScenario(found[name].fit)) for name in FAIR)
+    return chosen, FAIR[-1], (plan.scale.samples,)
+
+
+@dataclass(frozen=True)
+class OfScenario:
+    """A method that looks up what is known of the arm by the name of a scenario."""
+
+    fit: Callable[[Draw], Predictor]
+
+    def __call__(self, draw: Draw) -> Predictor:
+        """Fit to the draw under the scenario's name."""
+        return self.fit(replace(draw, law=SCENARIOS[draw.law]))
+
+
+FAIR = ("L-EDMDc", "B-EDMDc", "L-EDMDc, rod + x_eq", "PI hold", "PI twin")
+SCENARIOS = {"zero-sum": "paper arm", "independent": "independent pulls"}
+PROTOCOLS: dict[str, Callable[[Plan, argparse.Namespace], Protocol]] = {"paper": _paper, "ours": _ours}
+TITLES = {
+    "paper": "The paper's protocol as printed",
+    "ours": "Fair protocol: all methods tuned on held-out episodes",
+}
 
 
 if __name__ == "__main__":
