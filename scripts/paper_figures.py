@@ -67,7 +67,8 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
         colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
         shown = np.minimum(median, top)
         axis.fill_between(n1, np.minimum(lower, top), np.minimum(upper, top), color=colour, alpha=0.15, lw=0)
-        axis.plot(n1, shown, color=colour, lw=1.6, label=method)
+        axis.plot(n1, shown, color=colour, lw=1.6)
+        axis.plot([], [], marker, ls="-", color=colour, label=method)
         fine = np.isfinite(median)
         axis.plot(n1[fine], median[fine], marker, color=colour, ms=6)
         axis.plot(n1[~fine], shown[~fine], marker, mfc="white", mec=colour, mew=1.6, ms=9, clip_on=False, zorder=5)

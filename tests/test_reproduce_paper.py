@@ -1,0 +1,177 @@
+"""The paper's methods on data of a known linear system, and the cells of a run."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from pisplit import Episodes, PhaseSamples
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+DT, STATES = 0.1, 9
+
+
+@pytest.fixture(scope="module")
+def modules() -> Any:
+    sys.path.insert(0, str(SCRIPTS))
+    try:
+        names = ("paper_methods", "paper_protocol", "paper_runs", "paper_tables", "paper_data")
+        return SimpleNamespace(**{name: importlib.import_module(name) for name in names})
+    finally:
+        sys.path.remove(str(SCRIPTS))
+
+
+@pytest.fixture(scope="module")
+def generator() -> np.ndarray:
+    """A stable f: every eigenvalue has a negative real part."""
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(STATES, STATES))
+    return a - (np.abs(np.linalg.eigvals(a)).max() + 0.2) * np.eye(STATES)
+
+
+@pytest.fixture(scope="module")
+def data(modules: Any, generator: np.ndarray) -> Any:
+    """x' = f(x) + b u: the known part is linear, the unknown one acts on the last three states."""
+    rng = np.random.default_rng(1)
+    b = np.zeros((STATES, 2))
+    b[6:] = rng.normal(size=(3, 2))
+    augmented = np.block([[generator, b], [np.zeros((2, STATES + 2))]])
+    step = scipy.linalg.expm(DT * augmented)[:STATES]
+    xs, us = [], []
+    for _ in range(12):
+        u, x = rng.normal(size=(24, 2)), [rng.normal(size=STATES)]
+        for move in u:
+            x.append(step @ np.concatenate([x[-1], move]))
+        xs.append(np.array(x) + 5.0)  # an origin of its own
+        us.append(u)
+    quantities = ["p"] * 6 + ["q"] * 3
+    episodes = Episodes(xs, us, dt=DT, quantities=quantities, outputs={"shape": range(6), "tip_velocity": range(6, 9)})
+    x = rng.normal(size=(300, STATES))
+    half = x @ scipy.linalg.expm(0.5 * DT * generator).T
+    d2 = PhaseSamples(x + 5.0, rng.normal(size=(300, 2)), x @ generator.T, half + 5.0, DT)
+    return modules.paper_data.PaperData("any", episodes[:9], episodes[9:], d2)
+
+
+def draw(modules: Any, data: Any, size: int) -> Any:
+    rows = modules.paper_protocol.random_pairs(data.training, size, 0)
+    return modules.paper_protocol.Draw("any", data.training, rows, data.d2, 0)
+
+
+def test_units_have_no_mean_and_unit_deviation_and_constants_stay(modules: Any, data: Any) -> None:
+    xs = [np.hstack([x, np.full((len(x), 1), 3.0) + 1e-9 * x[:, :1]]) for x in data.training.xs]
+    quantities = ["p"] * 6 + ["q"] * 3 + ["v"]
+    given = Episodes(xs, data.training.us, DT, quantities=quantities)
+    for scaling in ("column", "quantity"):
+        found = modules.paper_methods.Units.of(given, scaling).episodes(given).stacked_states()
+        np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=1e-12)
+        assert found[:, 9].std() < 1e-7
+    np.testing.assert_allclose(
+        modules.paper_methods.Units.of(given, "column").episodes(given).stacked_states()[:, :9].std(axis=0), 1.0
+    )
+    assert modules.paper_methods.Units.of(given, "none").episodes(given).xs[0] is not None
+
+
+def test_moments_of_nested_draws_are_those_of_one_draw(modules: Any, data: Any) -> None:
+    methods = modules.paper_methods
+    theta = methods.dictionary(data.training)
+    units = methods.Units.of(data.training, "column")
+    growing, fresh = methods.Cache(), methods.Cache()
+    for size in (8, 32, 90):
+        nested = np.hstack(growing.pairs(theta, draw(modules, data, size), units))
+    whole = np.hstack(fresh.pairs(theta, draw(modules, data, 90), units))
+    np.testing.assert_allclose(nested.T @ nested, whole.T @ whole, atol=1e-9)
+
+
+@pytest.mark.parametrize("half_step", ["generator", "flow"])
+def test_half_step_of_a_linear_f_is_its_exponential(
+    modules: Any, data: Any, generator: np.ndarray, half_step: str
+) -> None:
+    methods = modules.paper_methods
+    theta = methods.dictionary(data.training)
+    units = methods.Units.of(data.training, "none")
+    centred = PhaseSamples(data.d2.x - 5.0, data.d2.u, data.d2.xdot, data.d2.x_half - 5.0, DT)
+    choices = methods.Choices(half_step=half_step, known="least squares", scaling="none")
+    half, facts = methods.known_half_step(theta, units.samples(centred), DT, choices)
+    exact = scipy.linalg.expm(0.5 * DT * generator)
+    np.testing.assert_allclose(half[:STATES, :STATES], exact, atol=1e-10)
+    np.testing.assert_array_equal(half[STATES:, STATES:], np.eye(len(half) - STATES))
+    assert facts["half_step"] == half_step
+
+
+def test_without_penalty_the_split_is_direct_regression_and_both_predict_exactly(modules: Any, data: Any) -> None:
+    """K_f cancels in K_f K_h K_f when it is invertible."""
+    methods, protocol = modules.paper_methods, modules.paper_protocol
+    choices = methods.Choices(alpha=1e-13, known="least squares")
+    given = draw(modules, data, 90)
+    for fit in (methods.Direct(choices, bilinear=False), methods.Split(choices)):
+        errors = protocol.evaluate(fit(given), data.test)
+        assert errors.diverged == 0.0 and errors.shape.max() < 1e-8
+
+
+def test_bilinear_columns_are_those_of_the_paper(modules: Any, data: Any) -> None:
+    theta = modules.paper_methods.dictionary(data.training)
+    assert theta.n_columns == 5 * STATES + 2
+    assert theta.bilinear().n_columns == 5 * STATES * 3 + 2
+
+
+class Counting:
+    """A fit that counts its calls, and refuses draws of 8 pairs."""
+
+    calls = 0
+
+    def __init__(self, modules: Any) -> None:
+        self.protocol = modules.paper_protocol
+
+    def __call__(self, given: Any) -> Any:
+        Counting.calls += 1
+        if len(given) == 8:
+            raise ValueError("too few")
+        return lambda test, start: self.protocol.Prediction(
+            np.stack([x[start + 1 :, :6] + 1.0 / len(given) for x in test.xs]),
+            np.stack([x[start + 1 :, 6:] for x in test.xs]),
+            np.full(len(test), -1),
+        )
+
+
+def test_cells_are_resumed_refusals_counted_and_other_settings_refused(modules: Any, data: Any, tmp_path: Path) -> None:
+    runs = modules.paper_runs
+    source = SimpleSource(data)
+    method = modules.paper_protocol.Method("counting", Counting(modules))
+    cells = list(runs.curve_cells(["any"], ["counting"], {8: 1, 16: 2}, 300))
+    arguments = ({"any": source}, [method], cells, tmp_path)
+    Counting.calls = 0
+    first = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
+    assert Counting.calls == 3
+    (tmp_path / "any" / "counting" / "16-300-1.npz").write_bytes(b"truncated")
+    again = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
+    assert Counting.calls == 4
+    for cell in cells:
+        np.testing.assert_array_equal(first[cell].errors.shape, again[cell].errors.shape)
+    rows = modules.paper_tables.table(again)
+    assert [(row["n1"], row["draws"], row["diverged"], row["refused fits"]) for row in rows] == [
+        (8, 1, 1.0, 1),
+        (16, 2, 0.0, 0),
+    ]
+    assert rows[1]["shape median [m^2]"] == pytest.approx(6.0 / 16**2, rel=1e-6)
+    assert np.isinf(rows[0]["shape median [m^2]"])
+    assert modules.paper_tables.finite(rows)[0]["shape median [m^2]"] is None
+    with pytest.raises(ValueError, match="other settings"):
+        runs.run_cells(*arguments, {"seed": 1}, workers=1, progress=False)
+
+
+class SimpleSource:
+    """Data that are there already."""
+
+    def __init__(self, data: Any) -> None:
+        self.data = data
+
+    def load_or_make(self) -> Any:
+        """The data."""
+        return self.data
