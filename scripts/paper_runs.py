@@ -52,6 +52,9 @@ class Source(Protocol):
     def load_or_make(self) -> PaperData:
         """The data; a killed run continues."""
 
+    def __hash__(self) -> int:
+        """Equal sources are read once."""
+
 
 @dataclass(frozen=True)
 class Chain:
