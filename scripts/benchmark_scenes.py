@@ -34,7 +34,7 @@ NODES = 4
 #: Finer tolerance of the runs that the errors are measured against.
 EXACT = 1e-8
 #: Nodes and tolerance of the paper's arm.
-ARM_SETTINGS = ((4, 1e-4), (5, 1e-4), (5, 3e-5), (6, 3e-5), (6, 1e-5), (7, 1e-5), (8, 3e-5), (8, 1e-5), (8, 7e-6))
+ARM_SETTINGS = ((4, 1e-4), (5, 1e-4), (5, 3e-5), (6, 3e-5), (6, 1e-5), (7, 1e-5), (8, 1e-5), (8, 5e-6))
 #: Errors in parts of L at which the paper's arm is timed, with targets in ms by kind of evaluation.
 ARM_GOALS = ((7e-4, {"VM": 4.0, "compiled": 1.5}), (3e-5, {"compiled": 2.0}))
 #: A new process builds the paper's arm, solves its rest, and runs one step.
@@ -205,6 +205,21 @@ def paper_arm(report: Report, compiled: bool, quick: bool, seed: int) -> list[st
     return lines
 
 
+def plane_rod(report: Report, steps: int) -> None:
+    """The plane rod at the loosest tolerance within 7e-4 L of a reference on more nodes."""
+    scene = scenes()["plane"]
+    u, rest = commands(scene, steps), scene.statics().solve().state
+    exact = scene.with_nodes(NODES + 4).simulator(DT, rtol=EXACT).run(u).fields(1)[:, 0, :3]
+    for rtol in (1e-4, 3e-5, 1e-5, 3e-6):
+        simulator = scene.simulator(DT, rtol=rtol)
+        off = np.linalg.norm(simulator.run(u, rest).fields(1)[:, 0, :3] - exact, axis=1).max() / LENGTH
+        if off <= 7e-4:
+            break
+    name = f"plane, no tendons, rtol {rtol:.0e}"
+    report.figure(name, _median_time(simulator, u, rest, 5), "ms per 0.03 s", ("<=", 0.3))
+    report.figure(f"{name}, error", float(off), "L", ("<=", 7e-4))
+
+
 def full_arm(report: Report, steps: int) -> None:
     """The paper's arm with shear and stretch, default nodes and tolerance, under the plan of ``commands``."""
     terms = scenes()["everything"].terms
@@ -257,8 +272,7 @@ def main() -> None:
     rows = {}
     for name, scene in tqdm(scenes().items(), desc="scenes", unit="scene"):
         rows[name] = measure(scene, steps, arguments.rtol, arguments.compiled, repeats)
-        target = ("<=", 0.3) if name == "plane" else None
-        report.figure(name, rows[name]["vm"], "ms per 0.03 s", target)
+        report.figure(name, rows[name]["vm"], "ms per 0.03 s")
         if arguments.compiled:
             report.figure(f"{name}, compiled", rows[name]["compiled"], "ms per 0.03 s")
         for kind in ("residual", "jacobian"):
@@ -267,6 +281,7 @@ def main() -> None:
     print(table(rows))
     print(f"everything costs {rows['everything']['vm'] / rows['plane']['vm']:.0f} times the plane rod without tendons")
     print("\n".join(paper_arm(report, arguments.compiled, arguments.quick, arguments.seed)))
+    plane_rod(report, steps)
     full_arm(report, steps)
     first_result(report)
     energy_drift(report, arguments.quick)
