@@ -103,7 +103,7 @@ PANELS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ),
     ("arm: damping", "full arm: damping"): ("arm: damping, smooth pulls", "damping", "parts of the paper's damping"),
     ("arm: damping, jumping pulls", "full arm: damping, jumping pulls"): (
-        "arm: damping, pulls that jump every 0.03 s",
+        "arm: damping, jumping pulls",
         "damping",
         "parts of the paper's damping",
     ),
@@ -112,40 +112,33 @@ PANELS: dict[tuple[str, ...], tuple[str, str, str]] = {
 
 
 def _panel(axis: Any, rows: list[Row], names: tuple[str, ...], varied: str) -> None:
-    """Error over what is varied; what was not solved stands at the upper edge, a zero at the left one."""
+    """Error over what is varied. What was not solved stands above, what has no reference below, zero to the left."""
     of = [row for row in rows if row["sweep"] in names and row.get(varied) is not None]
-    errors = [row["error"] for row in of if row["outcome"] == "ok" and row.get("error")]
     if not of:
         return
     cold = "cold" in names[0]
-    top = 10.0 * max(errors, default=1.0)
-    smallest = min((row[varied] for row in of if row[varied] > 0.0), default=1.0)
+    errors = [max(row["error"], 1e-16 if cold else 1e-9) for row in of if row["outcome"] == "ok" and "error" in row]
+    top, bottom = 10.0 * max(errors, default=1.0), 0.3 * min(errors, default=1.0)
+    zero = 0.3 * min((row[varied] for row in of if row[varied] > 0.0), default=1.0)
     for name, (marker, filled) in zip(names, (("o", True), ("D", False)), strict=False):
         for row in (row for row in of if row["sweep"] == name):
-            if row["outcome"] == "ok" and "error" not in row:
-                continue
-            solved, colour = row["outcome"] == "ok", COLOURS.get(row["outcome"], "#d62728")
-            error = max(row["error"], 1e-16 if cold else 1e-9) if solved else top
-            face = colour if filled or not solved else "none"
-            axis.plot(
-                max(row[varied], 0.3 * smallest), error, marker if solved else "X", color=colour, mfc=face, alpha=0.8
-            )
+            colour = COLOURS.get(row["outcome"], "#d62728")
+            at, height = max(row[varied], zero), top
+            if row["outcome"] == "ok":
+                height = max(row["error"], 1e-16 if cold else 1e-9) if "error" in row else bottom
+            shape = "X" if row["outcome"] != "ok" else marker if "error" in row else "v"
+            axis.plot(at, height, shape, color=colour, mfc=colour if filled or shape == "X" else "none", alpha=0.8)
         if len(names) > 1:
             face = "#555555" if filled else "none"
             axis.plot([], [], marker, color="#555555", mfc=face, linestyle="none", label=_told_apart(name))
+    if any(row["outcome"] == "ok" and "error" not in row for row in of):
+        axis.plot([], [], "v", color="#555555", mfc="none", linestyle="none", label="no reference")
     if len(names) > 1:
         axis.legend(frameon=False, loc="best", fontsize=9)
     if any(row[varied] == 0.0 for row in of):
-        axis.annotate(
-            "0",
-            (0.3 * smallest, 0.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 4),
-            textcoords="offset points",
-            ha="center",
-            fontsize=9,
-        )
-    axis.set(xscale="log", yscale="log")
+        axis.axvline(zero, color="#999999", lw=0.8, ls=":")
+        axis.text(zero, 0.5, " zero", transform=axis.get_xaxis_transform(), fontsize=9, color="#555555")
+    axis.set(xscale="linear" if varied == "amplitude" else "log", yscale="log")
     axis.set_ylabel("residual (EI/L)" if cold else "tip error / L")
     axis.grid(alpha=0.25)
 
