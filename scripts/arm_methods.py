@@ -33,8 +33,10 @@ TWIN_EPISODES, TWIN_SEED = 96, 1_000_003
 DAMPING_PAIRS, DAMPING_STEP = 24, 0.05
 #: Pairs that tendons are identified from when no equilibria are known.
 TENDON_PAIRS = 16
-#: Ridge of the twin's regression, and numbers of principal components whose products are columns.
-TWIN_ALPHA, COMPONENTS = 1e-5, (0, 4)
+#: Numbers of principal components whose products are columns, and ridges of the twin's regression: what rolls the
+#: twin's last episodes out best is taken, beside the plain fields, which are the safer choice where the twin is wrong.
+RICH, PLAIN = ((4, 1e-6), (6, 1e-6), (12, 3e-5), (12, 1e-4)), (0, 1e-5)
+TWIN_HELD_OUT = 6
 
 
 def methods(folder: Path, seed: int) -> dict[str, Method]:
@@ -187,13 +189,12 @@ class TwinMethod:
         assert calibration is not None
         twin = self._twin(calibration, scenario)
         fits = []
-        for theta in twin_dictionaries(twin):
+        for theta, ridge in twin_dictionaries(twin):
             if self.use_pairs:
-                fit = TwinEDMDc(theta, alpha="cv", twin_alpha=TWIN_ALPHA, cv_states="shape")
+                fit = TwinEDMDc(theta, alpha="cv", twin_alpha=ridge, cv_states="shape")
                 fits.append(_quietly(fit.fit, small.episodes, twin, small.pairs(theta.n_delays)))
             else:
-                fit = TwinEDMDc(theta, alpha=1e8, twin_alpha=TWIN_ALPHA)
-                fits.append(fit.fit(twin[:2], twin))
+                fits.append(twin_alone(theta, ridge, twin))
         return Lifted((_best(fits) if self.use_pairs else fits[-1]).lifted)
 
     def _with_pairs(self, scenario: Scenario, draw: Draw, first: Calibration | None) -> Calibration:
@@ -231,27 +232,36 @@ class TwinMethod:
         return Episodes.load(path)
 
 
-def twin_dictionaries(twin: Episodes) -> list[Dictionary]:
-    """Bilinear dictionaries of the fields, with products of their leading principal components."""
-    states = twin.stacked_states()
-    found = []
-    for number in COMPONENTS:
-        components = ob.Principal.of(states, number, twin.quantities) if number else None
-        products = [ob.compose(ob.Polynomials(2), components)] if components else []
-        found.append(
-            Dictionary(
-                ob.Constant(),
-                ob.States(),
-                *products,
-                ob.Inputs(),
-                ob.Polynomials(2, of="inputs"),
-                ob.Delays(inputs=1),
-                ob.Bilinear(),
-                n_states=twin.n_states,
-                n_inputs=twin.n_inputs,
-            )
-        )
-    return found
+def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
+    """The plain dictionary and the rich one that rolls out held-out episodes of the twin best, with their ridges."""
+    training, held = twin[:-TWIN_HELD_OUT], twin[-TWIN_HELD_OUT:]
+    errors = {}
+    for number, ridge in RICH:
+        fit = _quietly(twin_alone, twin_dictionary(training, number), ridge, training)
+        errors[number, ridge] = fit.score(held, "shape").median
+    best = min(errors, key=lambda key: np.nan_to_num(errors[key], nan=np.inf))
+    return [(twin_dictionary(twin, number), ridge) for number, ridge in (PLAIN, best)]
+
+
+def twin_dictionary(twin: Episodes, number: int) -> Dictionary:
+    """Bilinear dictionary of the fields, with products of ``number`` principal components."""
+    components = [ob.Principal.of(twin.stacked_states(), number, twin.quantities)] if number else []
+    return Dictionary(
+        ob.Constant(),
+        ob.States(),
+        *(ob.compose(ob.Polynomials(2), c) for c in components),
+        ob.Inputs(),
+        ob.Polynomials(2, of="inputs"),
+        ob.Delays(inputs=1),
+        ob.Bilinear(),
+        n_states=twin.n_states,
+        n_inputs=twin.n_inputs,
+    )
+
+
+def twin_alone(theta: Dictionary, ridge: float, twin: Episodes) -> TwinEDMDc:
+    """The model of the twin: recorded pairs have no weight."""
+    return TwinEDMDc(theta, alpha=1e8, twin_alpha=ridge).fit(twin[:1], twin)
 
 
 @lru_cache(maxsize=32)
