@@ -74,7 +74,7 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
         axis.plot(n1[~fine], shown[~fine], marker, mfc="white", mec=colour, mew=1.6, ms=9, clip_on=False, zorder=5)
         for x, y, part in zip(n1, shown, diverged, strict=True):
             if part > 0.0:
-                offset = (0, -13 - 11 * i) if y >= top else (0, 7)
+                offset = (0, -13 - 11 * i) if y >= top else (0, 7 if i % 2 else -15)
                 axis.annotate(
                     f"{100 * part:.0f} %",
                     (x, y),
@@ -94,7 +94,9 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
 
 def _draw_grid(axis: Any, rows: Sequence[Row], what: str, unit: str) -> None:
     """Medians by colour and number; where the median diverged, the fraction of divergent roll-outs and when."""
-    n1s, n2s = (sorted({row[n] for row in rows}) for n in ("n1", "n2"))
+    n2s = sorted({row["n2"] for row in rows})
+    n1s = sorted({row["n1"] for row in rows if row["n2"] == n2s[0]})
+    rows = [row for row in rows if row["n1"] in n1s]
     key = next(name for name in rows[0] if name.startswith(f"{what} median"))
     values = np.full((len(n2s), len(n1s)), np.nan)
     for row in rows:
