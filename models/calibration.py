@@ -23,7 +23,9 @@ SPREAD = {"offset": 0.5, "stiffness": 3.0, "slack": 1.0, "rounding": 1.0, "bendi
 #: Residuals that count as one standard deviation: of static moments, as parts of EI/L, and of one-step predictions, as
 #: parts of the spread of the recorded coordinates.
 STATIC_ERROR, STEP_ERROR = 1e-3, 1e-3
-#: Relative steps of finite differences of simulated pairs; their integrator has a tolerance of 1e-6.
+#: Error of a pair whose simulation fails for the parameters of the moment: a step there is no progress.
+LOST = 10.0
+#: Steps of central differences of simulated pairs; their integrator has a tolerance of 1e-6.
 DIFFERENCE = 3e-3
 SIMULATION_RTOL = 1e-6
 
@@ -140,29 +142,35 @@ def calibrate_from_pairs(
     slots = model.slots
     spread = np.repeat([np.sqrt(np.mean((part - part.mean(axis=0)) ** 2)) for part in (x1[:, :n], x1[:, n:])], n)
     spread[spread == 0.0] = 1.0
-    valid = np.ones(len(x0), dtype=bool)
 
-    def residual(x: Array) -> Array:
+    def predicted(x: Array) -> tuple[Array, Array]:
+        """Errors of all pairs in parts of the spread, and whether they could be simulated."""
         w = np.zeros((2, model.scene.n_inputs))
         w[:, slots[PARAMETERS]] = model.full(x)
-        out = np.zeros((len(x0), 2 * n))
-        for i in np.flatnonzero(valid):
+        errors, done = np.full((len(x0), 2 * n), LOST), np.zeros(len(x0), dtype=bool)
+        for i in range(len(x0)):
             w[:, slots["moves"]] = u[i]
             step = simulator.run(w[1:], np.concatenate([x0[i], w[0]]))
             if step.success:
-                out[i] = (step.x[-1, : 2 * n] - x1[i]) / spread
-            else:
-                valid[i] = False
-        return np.concatenate([out.ravel() / STEP_ERROR, model.prior(x)])
+                errors[i], done[i] = (step.x[-1, : 2 * n] - x1[i]) / spread, True
+        return errors, done
 
-    found = least_squares(
-        residual, model.start[model.free], diff_step=DIFFERENCE, x_scale=model.spread[model.free], max_nfev=evaluations
-    )
-    used = int(valid.sum())
-    if used == 0:
+    used = predicted(model.start[model.free])[1]
+    if not used.any():
         raise RuntimeError("no pair could be simulated; check that before, after and inputs belong to this arm")
-    r = STEP_ERROR * residual(found.x)[: 2 * n * len(x0)].reshape(len(x0), -1)[valid]
-    return model.result(found.x, float(np.sqrt(np.mean(r**2))), used, found.status > 0)
+    x0, x1, u = x0[used], x1[used], u[used]
+
+    def residual(x: Array) -> Array:
+        return np.concatenate([predicted(x)[0].ravel() / STEP_ERROR, model.prior(x)])
+
+    def slope(x: Array) -> Array:
+        steps = DIFFERENCE * np.eye(len(x))  # absolute: logarithms start at zero
+        return np.stack([(residual(x + d) - residual(x - d)) / (2.0 * DIFFERENCE) for d in steps], axis=1)
+
+    scale = model.spread[model.free]
+    found = least_squares(residual, model.start[model.free], jac=slope, x_scale=scale, max_nfev=evaluations)
+    r = predicted(found.x)[0]
+    return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(x0), found.status > 0)
 
 
 def nominal_parameters(arm: TendonArm) -> TendonParameters:

@@ -10,7 +10,7 @@ import numpy as np
 from paper_data import DT, PaperData
 from scipy.spatial.transform import Rotation
 
-from pisplit import Episodes
+from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array
 from pisplit.models import rod
 from pisplit.models.calibrated import TendonParameters
@@ -21,6 +21,7 @@ from pisplit.models.generation import (
     episodes_origin,
     make_episodes,
     make_phase_samples,
+    phase_origin,
     random_targets,
 )
 from pisplit.models.tendon_arm import TendonArm
@@ -77,20 +78,28 @@ class ScenarioSource:
         scenario, total = self.scenario, self.training + self.test
         clean = self._episodes(total)
         training, test = clean[: self.training], clean[self.training :]
-        deviations, rates = deviations_from_equilibrium(scenario.arm, training[:8])
-        path = self.folder / f"d2-{self._stem}-{PHASE_SAMPLES}.h5"
-        d2 = make_phase_samples(
-            scenario.known,
+        d2 = self._samples(training[:8])
+        return PaperData(scenario.law, noisy(training, scenario.noise, self.seed), test, d2)
+
+    def _samples(self, training: Episodes) -> PhaseSamples:
+        scenario, path = self.scenario, self.folder / f"d2-{self._stem}-{PHASE_SAMPLES}.h5"
+        deviations, rates = deviations_from_equilibrium(scenario.arm, training)
+        if path.exists():
+            found = PhaseSamples.load(path)
+            check_origin(path, found.provenance, phase_origin(scenario.arm, rates, seed=self.seed, law=scenario.law))
+            return found
+        return make_phase_samples(
+            scenario.arm,
             path,
             PHASE_SAMPLES,
             rates,
             deviations,
             seed=self.seed,
-            workers=1,
+            workers=self.workers,
             progress=False,
             law=scenario.law,
+            known=scenario.known.passive,
         )
-        return PaperData(scenario.law, noisy(training, scenario.noise, self.seed), test, d2)
 
     @property
     def _stem(self) -> str:
