@@ -13,7 +13,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from pisplit.models.rod.gauss import Rule
+from pisplit.models.rod.gauss import Array, Rule
 from pisplit.models.rod.rotations import compose, exponential, rotation_about_y, rotation_matrix
 
 #: Order of the six strain components: bending about body axes 1 and 2, torsion, shear along 1 and 2, stretch.
@@ -56,8 +56,9 @@ class StrainSet:
         """Quaternions (4,) at ``rule.step_ends`` from the strains ``w`` at the nodes (3, K) and that of the base.
 
         Fourth-order Magnus steps from node to node (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta
-        Numerica 2000): for R' = R hat(w), Omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 at the two Gauss points
-        of each step. Planar rods need none.
+        Numerica 2000): for R' = R hat(w), Omega = int w ds + sqrt(3)/12 h^2 w_1 x w_2 with w at the two Gauss points
+        of each step. The integral is that of the polynomial through the nodes, exactly: where the axis of bending does
+        not turn, so are the frames. Planar rods need none.
         """
         ends = [base]
         if not self.planar:
@@ -87,12 +88,21 @@ class StrainSet:
         return frames
 
 
+def turn_rows(rule: Rule, start: float, end: float) -> Array:
+    """Rows (3, K) over nodal strains for one Magnus step: at its two Gauss points, and the integral over it."""
+    points = start + (end - start) * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
+    return np.vstack([rule.interpolate(points), rule.integrate_to([end]) - rule.integrate_to([start])])
+
+
+def commutator_weight(start: float, end: float) -> float:
+    """Factor of w_1 x w_2 in one Magnus step, in m^2."""
+    return float(np.sqrt(3.0) / 12.0 * (end - start) ** 2)
+
+
 def _turn(w_all: ca.SX, rule: Rule, start: float, end: float) -> ca.SX:
     """Quaternion of one Magnus step."""
-    h = end - start
-    points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
-    w_1, w_2 = ca.horzsplit(ca.mtimes(w_all, ca.DM(rule.interpolate(points).T)))
-    return exponential(0.5 * h * (w_1 + w_2) + np.sqrt(3.0) / 12.0 * h * h * ca.cross(w_1, w_2))
+    w_1, w_2, total = ca.horzsplit(ca.mtimes(w_all, ca.DM(turn_rows(rule, start, end).T)))
+    return exponential(total + commutator_weight(start, end) * ca.cross(w_1, w_2))
 
 
 STRAIN_SETS = {

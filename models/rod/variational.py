@@ -21,11 +21,12 @@ from pisplit.models.rod.balance import Balance
 from pisplit.models.rod.gauss import Array
 from pisplit.models.rod.kinematics import Motion
 from pisplit.models.rod.rotations import rotation_matrix
+from pisplit.models.rod.strains import commutator_weight, turn_rows
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One Magnus step of the frames, omega = h/2 (w_1 + w_2) + sqrt(3)/12 h^2 w_1 x w_2 (see ``StrainSet.steps``).
+    """One Magnus step of the frames, omega = int w ds + c w_1 x w_2 (see ``StrainSet.steps``).
 
     The rotation exp(hat(omega)) turns by ``dexp(omega) omega_t`` in the frame before it, where
 
@@ -34,25 +35,20 @@ class Turn:
     with t = |omega|, smoothed at zero as ``rotations.exponential`` does.
 
     Attributes:
-        rows: (2, K) interpolation of nodal strains to the two Gauss points of the step.
-        length: h in m.
-        points: strains w, their rates and accelerations at those points, each (3, 2).
+        rows: (3, K) from nodal strains to the two Gauss points of the step and to the integral (``turn_rows``).
+        twist: c in m^2.
+        points: these three of the strains w, of their rates and of their accelerations, each (3, 3).
     """
 
     rows: Array
-    length: float
+    twist: float
     points: tuple[ca.SX, ca.SX, ca.SX]
-
-    @property
-    def _weights(self) -> tuple[float, float]:
-        return 0.5 * self.length, np.sqrt(3.0) / 12.0 * self.length**2
 
     @cached_property
     def omega(self) -> ca.SX:
         """Rotation vector (3,)."""
-        half, twist = self._weights
-        w_1, w_2 = ca.horzsplit(self.points[0])
-        return half * (w_1 + w_2) + twist * ca.cross(w_1, w_2)
+        w_1, w_2, total = ca.horzsplit(self.points[0])
+        return total + self.twist * ca.cross(w_1, w_2)
 
     @cached_property
     def _coefficients(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -65,11 +61,9 @@ class Turn:
     @cached_property
     def rates(self) -> tuple[ca.SX, ca.SX]:
         """Angular velocity and acceleration (3,) that the step adds, in the frame before it."""
-        half, twist = self._weights
-        (w_1, w_2), (u_1, u_2), (v_1, v_2) = (ca.horzsplit(p) for p in self.points)
-        first = half * (u_1 + u_2) + twist * (ca.cross(u_1, w_2) + ca.cross(w_1, u_2))
-        bent = ca.cross(v_1, w_2) + 2.0 * ca.cross(u_1, u_2) + ca.cross(w_1, v_2)
-        second = half * (v_1 + v_2) + twist * bent
+        (w_1, w_2, _), (u_1, u_2, first), (v_1, v_2, second) = (ca.horzsplit(p) for p in self.points)
+        first = first + self.twist * (ca.cross(u_1, w_2) + ca.cross(w_1, u_2))
+        second = second + self.twist * (ca.cross(v_1, w_2) + 2.0 * ca.cross(u_1, u_2) + ca.cross(w_1, v_2))
         square, a, b = self._coefficients
         once = ca.cross(self.omega, first)
         twice = ca.cross(self.omega, once)
@@ -82,12 +76,11 @@ class Turn:
 
     def conjugate(self, moment: ca.SX) -> ca.SX:
         """Share (3, K) of the nodal strains w in a moment (3,) in the frame before the step: transpose of ``rates``."""
-        half, twist = self._weights
-        w_1, w_2 = ca.horzsplit(self.points[0])
+        w_1, w_2, _ = ca.horzsplit(self.points[0])
         _, a, b = self._coefficients
         once = ca.cross(self.omega, moment)
         m = moment - a * once + b * ca.cross(self.omega, once)
-        parts = ca.horzcat(half * m + twist * ca.cross(w_2, m), half * m + twist * ca.cross(m, w_1))
+        parts = ca.horzcat(self.twist * ca.cross(w_2, m), self.twist * ca.cross(m, w_1), m)
         return ca.mtimes(parts, ca.DM(self.rows))
 
 
@@ -96,10 +89,9 @@ class VariationalMotion(Motion):
     """Motion whose velocities and accelerations differentiate the discrete positions and frames exactly."""
 
     def _turn(self, start: float, end: float) -> Turn:
-        h = end - start
-        rows = self.rule.interpolate(start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0))
+        rows = turn_rows(self.rule, start, end)
         w, w_t, w_tt = (ca.mtimes(w, ca.DM(rows.T)) for w in (self.w, self.w_t, self._wv_tt[0]))
-        return Turn(rows, h, (w, w_t, w_tt))
+        return Turn(rows, commutator_weight(start, end), (w, w_t, w_tt))
 
     @cached_property
     def _turns(self) -> list[Turn]:
