@@ -56,9 +56,9 @@ class StrainSet:
         """Quaternions (4,) at ``rule.step_ends`` from the strains ``w`` at the nodes (3, K) and that of the base.
 
         Fourth-order Magnus steps from node to node (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta
-        Numerica 2000): for R' = R hat(w), Omega = int w ds + sqrt(3)/12 h^2 w_1 x w_2 with w at the two Gauss points
-        of each step. The integral is that of the polynomial through the nodes, exactly: where the axis of bending does
-        not turn, so are the frames. Planar rods need none.
+        Numerica 2000): for R' = R hat(w), Omega = W + sqrt(3)/12 h W x (w_2 - w_1) with W = int w ds and w at the two
+        Gauss points of each step. W is that of the polynomial through the nodes, exactly: where the axis of bending
+        does not turn, so are the frames. Planar rods need none.
         """
         ends = [base]
         if not self.planar:
@@ -89,20 +89,18 @@ class StrainSet:
 
 
 def turn_rows(rule: Rule, start: float, end: float) -> Array:
-    """Rows (3, K) over nodal strains for one Magnus step: at its two Gauss points, and the integral over it."""
-    points = start + (end - start) * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
-    return np.vstack([rule.interpolate(points), rule.integrate_to([end]) - rule.integrate_to([start])])
-
-
-def commutator_weight(start: float, end: float) -> float:
-    """Factor of w_1 x w_2 in one Magnus step, in m^2."""
-    return float(np.sqrt(3.0) / 12.0 * (end - start) ** 2)
+    """Rows (2, K) over nodal strains for one Magnus step: W, and sqrt(3)/12 h (w_2 - w_1)."""
+    h = end - start
+    points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
+    first, second = rule.interpolate(points)
+    whole = rule.integrate_to([end])[0] - rule.integrate_to([start])[0]
+    return np.stack([whole, np.sqrt(3.0) / 12.0 * h * (second - first)])
 
 
 def _turn(w_all: ca.SX, rule: Rule, start: float, end: float) -> ca.SX:
     """Quaternion of one Magnus step."""
-    w_1, w_2, total = ca.horzsplit(ca.mtimes(w_all, ca.DM(turn_rows(rule, start, end).T)))
-    return exponential(total + commutator_weight(start, end) * ca.cross(w_1, w_2))
+    whole, change = ca.horzsplit(ca.mtimes(w_all, ca.DM(turn_rows(rule, start, end).T)))
+    return exponential(whole + ca.cross(whole, change))
 
 
 STRAIN_SETS = {

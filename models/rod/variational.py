@@ -21,12 +21,12 @@ from pisplit.models.rod.balance import Balance
 from pisplit.models.rod.gauss import Array
 from pisplit.models.rod.kinematics import Motion
 from pisplit.models.rod.rotations import rotation_matrix
-from pisplit.models.rod.strains import commutator_weight, turn_rows
+from pisplit.models.rod.strains import turn_rows
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One Magnus step of the frames, omega = int w ds + c w_1 x w_2 (see ``StrainSet.steps``).
+    """One Magnus step of the frames, omega = W + W x D (see ``StrainSet.steps``).
 
     The rotation exp(hat(omega)) turns by ``dexp(omega) omega_t`` in the frame before it, where
 
@@ -35,20 +35,18 @@ class Turn:
     with t = |omega|, smoothed at zero as ``rotations.exponential`` does.
 
     Attributes:
-        rows: (3, K) from nodal strains to the two Gauss points of the step and to the integral (``turn_rows``).
-        twist: c in m^2.
-        points: these three of the strains w, of their rates and of their accelerations, each (3, 3).
+        rows: (2, K) from nodal strains w to W and D (``turn_rows``).
+        parts: W and D of the strains, of their rates and of their accelerations, each (3, 2).
     """
 
     rows: Array
-    twist: float
-    points: tuple[ca.SX, ca.SX, ca.SX]
+    parts: tuple[ca.SX, ca.SX, ca.SX]
 
     @cached_property
     def omega(self) -> ca.SX:
         """Rotation vector (3,)."""
-        w_1, w_2, total = ca.horzsplit(self.points[0])
-        return total + self.twist * ca.cross(w_1, w_2)
+        whole, change = ca.horzsplit(self.parts[0])
+        return whole + ca.cross(whole, change)
 
     @cached_property
     def _coefficients(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -61,9 +59,9 @@ class Turn:
     @cached_property
     def rates(self) -> tuple[ca.SX, ca.SX]:
         """Angular velocity and acceleration (3,) that the step adds, in the frame before it."""
-        (w_1, w_2, _), (u_1, u_2, first), (v_1, v_2, second) = (ca.horzsplit(p) for p in self.points)
-        first = first + self.twist * (ca.cross(u_1, w_2) + ca.cross(w_1, u_2))
-        second = second + self.twist * (ca.cross(v_1, w_2) + 2.0 * ca.cross(u_1, u_2) + ca.cross(w_1, v_2))
+        (w, d), (w_t, d_t), (w_tt, d_tt) = (ca.horzsplit(p) for p in self.parts)
+        first = w_t + ca.cross(w_t, d) + ca.cross(w, d_t)
+        second = w_tt + ca.cross(w_tt, d) + 2.0 * ca.cross(w_t, d_t) + ca.cross(w, d_tt)
         square, a, b = self._coefficients
         once = ca.cross(self.omega, first)
         twice = ca.cross(self.omega, once)
@@ -76,12 +74,12 @@ class Turn:
 
     def conjugate(self, moment: ca.SX) -> ca.SX:
         """Share (3, K) of the nodal strains w in a moment (3,) in the frame before the step: transpose of ``rates``."""
-        w_1, w_2, _ = ca.horzsplit(self.points[0])
+        whole, change = ca.horzsplit(self.parts[0])
         _, a, b = self._coefficients
         once = ca.cross(self.omega, moment)
         m = moment - a * once + b * ca.cross(self.omega, once)
-        parts = ca.horzcat(self.twist * ca.cross(w_2, m), self.twist * ca.cross(m, w_1), m)
-        return ca.mtimes(parts, ca.DM(self.rows))
+        acting = ca.horzcat(m + ca.cross(change, m), ca.cross(m, whole))
+        return ca.mtimes(acting, ca.DM(self.rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +89,7 @@ class VariationalMotion(Motion):
     def _turn(self, start: float, end: float) -> Turn:
         rows = turn_rows(self.rule, start, end)
         w, w_t, w_tt = (ca.mtimes(w, ca.DM(rows.T)) for w in (self.w, self.w_t, self._wv_tt[0]))
-        return Turn(rows, commutator_weight(start, end), (w, w_t, w_tt))
+        return Turn(rows, (w, w_t, w_tt))
 
     @cached_property
     def _turns(self) -> list[Turn]:
