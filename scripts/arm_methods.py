@@ -161,8 +161,8 @@ class Splitting:
         theta, options = physics.dictionary(), physics.options()
         if self.split == "balanced":
             options = {name: options[name] for name in ("tangent", "equilibrium", "ports")}
-        given = {} if self.split == "strang" else {"options": options}
-        fit = PIEDMDc(theta, alpha="cv", penalty="ridge", split=self.split, cv_states="shape", **given)
+        given = None if self.split == "strang" else options
+        fit = PIEDMDc(theta, alpha="cv", penalty="ridge", split=self.split, cv_states="shape", options=given)
         fitted = _quietly(fit.fit, small.episodes, small.d2, small.pairs(theta.n_delays))
         return Kinematic(fitted.lifted, physics)
 

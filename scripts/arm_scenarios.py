@@ -192,6 +192,7 @@ def _wrong(arm: TendonArm, young: float = 1.0, damping: float = 1.0) -> TendonAr
     """The arm with another modulus and other material damping of its backbone."""
     scene = arm.scene
     material = scene.rod.material
+    assert isinstance(material, rod.Elastic)
     body = replace(scene.rod, material=replace(material, young=young * material.young, shear=young * material.shear))
     terms = [
         rod.KelvinVoigt(bending=damping * t.bending, torsion=damping * t.torsion)
