@@ -29,6 +29,8 @@ ATTEMPTS = 5
 #: Input laws. "zero-sum": pretension plus differential pulls, the tendons stay taut. "independent": each tendon its own
 #: displacement; slack ones leave the arm to its weight.
 LAWS = ("zero-sum", "independent")
+#: Changes when the same scene moves differently, so that data of older equations are not taken for new ones.
+EQUATIONS = 2
 
 
 def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
@@ -343,6 +345,7 @@ def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int, law: str) -
         "kind": kind,
         "arm": str(arm.scene),
         "scene": _fingerprint(arm.scene),
+        "equations": EQUATIONS,
         "pretension": arm.pretension,
         "amplitude": arm.amplitude,
         "law": one_of(law, "law", LAWS),

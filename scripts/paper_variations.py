@@ -14,6 +14,7 @@ from paper_tables import Row, table
 
 from pisplit import PhaseSamples
 from pisplit.models import rod
+from pisplit.models.generation import EQUATIONS
 
 #: |D1| and draws; phase samples.
 SIZES = {64: 3, 1024: 1}
@@ -75,7 +76,7 @@ def vary(
         for seed in range(draws)
     ]
     first = next(iter(sources.values()))
-    settings = {"scale": asdict(scale), "seed": first.seed, "samples": n2}
+    settings = {"scale": asdict(scale), "seed": first.seed, "samples": n2, "equations": EQUATIONS}
     return table(run_cells(sources, methods, cells, folder / "variations", settings, workers))
 
 

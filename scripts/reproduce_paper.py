@@ -25,7 +25,7 @@ from paper_tables import Row, finite, printed, table, write_csv
 from paper_variations import VARIATIONS, vary
 from report import Report, parser, run
 
-from pisplit.models.generation import LAWS
+from pisplit.models.generation import EQUATIONS, LAWS
 from pisplit.models.tendon_arm import TendonArm
 
 
@@ -105,7 +105,12 @@ def _run_protocol(
     methods, grid_method, d2_sizes = PROTOCOLS[name](plan, given)
     folder = given.out / kind / name
     cells = plan_cells(replace(plan, d2_sizes=d2_sizes), data, [method.name for method in methods], grid_method)
-    settings = {"scale": asdict(plan.scale), "seed": given.seed, "methods": [repr(m.fit)[:2000] for m in methods]}
+    settings = {
+        "scale": asdict(plan.scale),
+        "seed": given.seed,
+        "equations": EQUATIONS,
+        "methods": [repr(m.fit)[:2000] for m in methods],
+    }
     results = run_cells(sources, methods, cells, folder, settings, given.workers)
     rows = table(results)
     write_csv(rows, folder / "errors.csv")
