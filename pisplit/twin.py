@@ -19,10 +19,6 @@ from pisplit.splitting import Solver, SplitContext, SplitFit, Splitting, pair_mo
 
 Array = NDArray[np.float64]
 
-#: Quantities of the twin that change by less than this part of their size are no regressors: the axial strain of a
-#: backbone that hardly stretches would tell a model everything, in digits that no twin gets right and no sensor reads.
-RESOLUTION = 1e-4
-
 
 class TwinEDMDc(Estimator):
     """PI-EDMDc whose known part is simulated: a twin (the known f with an identified h) makes trajectories D2.
@@ -38,6 +34,9 @@ class TwinEDMDc(Estimator):
     alpha         weight of the twin, or "cv": chosen on roll-outs of held-out training episodes
     twin_alpha    mu, relative to the mean variance of the twin's columns; the constant carries no penalty
     scale         column scales by the spread of the twin's data: "quantity", "column" or None
+    omit          names or quantities of columns that predict nothing (they are predicted): digits that no twin gets
+                  right and no sensor reads, such as the axial strain of a backbone that hardly stretches, tell a model
+                  of the twin everything
     alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
 
     After ``fit`` as :class:`pisplit.estimator.Estimator`.
@@ -51,6 +50,7 @@ class TwinEDMDc(Estimator):
         alpha: float | str = "cv",
         twin_alpha: float = 1e-7,
         scale: str | None = "quantity",
+        omit: Sequence[str] = (),
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
         cv_tolerance: float = 0.0,
@@ -64,6 +64,7 @@ class TwinEDMDc(Estimator):
         self.alpha = alpha
         self.twin_alpha = twin_alpha
         self.scale = scale
+        self.omit = omit
         self.alphas = alphas
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
@@ -89,7 +90,7 @@ class TwinEDMDc(Estimator):
         return self.theta.named_after(d1)
 
     def _splitting(self, context: SplitContext) -> Splitting:
-        return Fusion(context, self._twin, self.twin_alpha, self.scale)
+        return Fusion(context, self._twin, self.twin_alpha, self.scale, self.omit)
 
     def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
         return SplitContext(
@@ -116,12 +117,14 @@ class Fusion:
     #: Default grid of alpha="cv": from the data alone to the twin alone.
     alphas = tuple(np.logspace(-8, 4, 13).tolist())
 
-    def __init__(self, context: SplitContext, twin: Pairs, twin_alpha: float, scale: str | None) -> None:
+    def __init__(
+        self, context: SplitContext, twin: Pairs, twin_alpha: float, scale: str | None, omit: Sequence[str]
+    ) -> None:
         theta, size = context.theta, context.theta.n_columns
         moments = pair_moments(theta, twin)
         self.context = context
         self.scale = column_scales(moments.std[:size], theta.column_quantities, scale)
-        self.still = _still(moments, theta.column_quantities)
+        self.omitted = _omitted(theta, omit)
         self.own = self.scale[theta.learned_columns]
         self.constant = theta.constant_column
         self.shift = moments.mean[:size] / self.scale
@@ -130,7 +133,8 @@ class Fusion:
         else:
             self.shift[self.constant] = 0.0
         a, y = self._means(moments)
-        penalty = twin_alpha * float(np.mean((moments.std[:size] / self.scale)[~self.still] ** 2))
+        variance = float(np.mean((moments.std[:size] / self.scale)[~self.omitted] ** 2))
+        penalty = twin_alpha * (variance or 1.0)
         ridge = np.sqrt(penalty) * np.eye(size)
         if self.constant is not None:
             ridge[self.constant] = 0.0
@@ -163,20 +167,17 @@ class Fusion:
         a = rows[:, :size].copy()
         if self.constant is not None:
             a -= np.outer(a[:, self.constant], self.shift)
-        a[:, self.still] = 0.0
+        a[:, self.omitted] = 0.0
         return a, rows[:, size:]
 
 
-def _still(moments: Moments, quantities: Sequence[str]) -> NDArray[np.bool_]:
-    """Whether each column (k,) is of a quantity that hardly changes; the constant is none."""
-    labels = np.array(quantities)
-    mean, std = moments.mean[: len(labels)], moments.std[: len(labels)]
-    still = np.zeros(len(labels), dtype=bool)
-    for label in set(quantities):
-        of = labels == label
-        spread = np.linalg.norm(std[of])
-        still[of] = 0.0 < spread < RESOLUTION * np.linalg.norm(mean[of])
-    return still
+def _omitted(theta: Dictionary, omit: Sequence[str]) -> NDArray[np.bool_]:
+    """Whether each column (M,) is of a quantity in ``omit``, or has a name there."""
+    unknown = sorted(set(omit) - set(theta.column_quantities) - set(theta.column_names))
+    if unknown:
+        raise ValueError(f"omit names {unknown[:3]}; expected names or quantities of columns")
+    labels = zip(theta.column_names, theta.column_quantities, strict=True)
+    return np.array([name in omit or quantity in omit for name, quantity in labels], dtype=bool)
 
 
 def _check_alike(d1: Episodes, twin: Episodes) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from report import Report, parser, run
 from tqdm import tqdm
 
-from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
+from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.models import ControlSystem
 
@@ -151,12 +151,13 @@ def edmdc(**options: Any) -> Fit:
 
 
 def estimators() -> dict[str, Fit]:
-    """Every way to regress: least squares, ridge, LASSO, and a bound on the radius."""
+    """Every way to regress: least squares, ridge, LASSO, a bound on the radius, and a twin that repeats the data."""
     return {
         "least squares": edmdc(),
         "ridge": edmdc(alpha=1e-14),
         "LASSO": edmdc(alpha=1e-10, penalty="lasso"),
         "bounded": edmdc(max_radius=1.0),
+        "twin": lambda theta, d1: TwinEDMDc(theta, alpha=1.0, twin_alpha=1e-15).fit(d1, d1),
     }
 
 

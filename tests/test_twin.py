@@ -73,6 +73,16 @@ def test_a_bilinear_dictionary_makes_a_bilinear_model():
     assert_allclose(model.N[0, 1:, 1:], 0.2 * np.eye(2), atol=1e-7)
 
 
+def test_what_is_omitted_predicts_nothing_and_is_predicted():
+    d1, twin = episodes(A, B), episodes(A, B, seed=1)
+    model = TwinEDMDc(theta(), alpha=1.0, omit=["x2"]).fit(d1, twin).lifted
+    column = model.column_names.index("x2")
+    assert_allclose(model.A[:, column], 0.0, atol=1e-14)
+    assert np.abs(model.A[column]).max() > 0.01
+    with pytest.raises(ValueError, match="omit names"):
+        TwinEDMDc(theta(), omit=["x7"]).fit(d1, twin)
+
+
 def test_a_read_out_is_learned_from_the_twin_too():
     d1, twin = episodes(A, B), episodes(A, B, seed=1)
     cubes = ob.Expression(lambda x, u: [x[0] + x[1], x[0] - x[1]], name=["sum", "difference"])

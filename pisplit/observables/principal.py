@@ -37,26 +37,32 @@ class Principal(Base):
         return f"Principal({len(self.weights)} of {len(self.mean)} states)"
 
     @classmethod
-    def of(cls, states: ArrayLike, number: int, quantities: Sequence[str] | None = None) -> Principal:
+    def of(
+        cls, states: ArrayLike, number: int, quantities: Sequence[str] | None = None, omit: Sequence[str] = ()
+    ) -> Principal:
         """The ``number`` leading components of ``states`` (N, n), each with unit variance over them.
 
         ``quantities``: groups of states with one scale (:func:`pisplit.scaling.column_scales`); default: all states
-        have one unit.
+        have one unit. States of a quantity in ``omit`` take no part.
         """
         x = finite_array(states, "states", (None, None))
         size = count(number, "number")
         if size > min(x.shape):
             raise ValueError(f"number = {size} components; {x.shape[0]} samples of {x.shape[1]} states have fewer")
         mean = x.mean(axis=0)
-        scale = column_scales(x.std(axis=0), ("x",) * x.shape[1] if quantities is None else quantities)
-        triangle = np.linalg.qr((x - mean) / scale, mode="r")
+        labels = ("x",) * x.shape[1] if quantities is None else tuple(quantities)
+        if set(omit) - set(labels):
+            raise ValueError(f"omit = {list(omit)}; expected quantities of the states, {sorted(set(labels))}")
+        scale = column_scales(x.std(axis=0), labels)
+        part = np.array([float(label not in omit) for label in labels])
+        triangle = np.linalg.qr((x - mean) / scale * part, mode="r")
         _, s, vt = np.linalg.svd(triangle)
         if s[size - 1] <= 1e-10 * s[0]:
             raise ValueError(
                 f"number = {size} components; the states vary in {int((s > 1e-10 * s[0]).sum())} directions"
             )
         leading = vt[:size] * np.sign(vt[:size].sum(axis=1, keepdims=True) + 1e-300)
-        weights = leading / scale / (s[:size, None] / np.sqrt(len(x)))
+        weights = leading * part / scale / (s[:size, None] / np.sqrt(len(x)))
         return cls(weights.tolist(), mean.tolist())
 
     def state_columns(self, x: Symbol, names: Names) -> Columns:
