@@ -36,6 +36,8 @@ INFORMED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq")
 OURS = "PI twin"
 #: Scenarios beside the main one, and the methods they run.
 OTHERS = (*BASELINES, "PI hold", OURS)
+#: Pairs (steps) of the rows that are run at one size.
+ONE_SIZE = 64
 #: Splits that need the table of equilibria over differential pulls.
 TABLED = (*INFORMED, "PI Strang", "PI balanced", "PI hold")
 
@@ -63,9 +65,7 @@ def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
         if method in TABLED and name == "independent pulls":
             continue
         for size, draws in (plan.sizes if main else plan.other_sizes).items():
-            if method.endswith("one recording") and not 0 < size <= steps - HISTORY:
-                continue
-            if method.endswith("from pairs") and not 16 <= size <= 128:
+            if method.endswith(("one recording", "from pairs")) and size != ONE_SIZE:
                 continue
             if method.endswith("no pairs"):
                 size, draws = 1, 1
