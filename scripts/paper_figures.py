@@ -28,9 +28,17 @@ plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "lege
 
 
 def draw_panels(
-    rows: Sequence[Row], law: str, methods: Sequence[str], grid_method: str, title: str, path: Path
+    rows: Sequence[Row],
+    law: str,
+    methods: Sequence[str],
+    grid_method: str,
+    title: str,
+    path: Path,
+    d2: str = "phase-space samples",
 ) -> None:
-    """Panels (a, b) of all methods with all phase samples, (c, d) of ``grid_method``; PNG and PDF beside it."""
+    """Panels (a, b) of all methods with the largest D2, (c, d) of ``grid_method``; PNG and PDF beside it.
+
+    ``d2``: what |D2| counts."""
     mine = [row for row in rows if row["law"] == law]
     most = max(row["n2"] for row in mine)
     figure, axes = plt.subplots(2, 2, figsize=(13.5, 10.5))
@@ -42,6 +50,7 @@ def draw_panels(
     grid = [row for row in mine if row["method"] == grid_method]
     for axis, (what, label, unit), letter in zip(axes[1], KINDS, "cd", strict=True):
         _draw_grid(axis, grid, what, f"${unit}$")
+        axis.set_ylabel(f"|D2|, {d2}")
         axis.set(title=f"({letter}) median {label}, {grid_method}")
     figure.suptitle(title, y=0.985)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -58,6 +67,8 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
     sizes = sorted({row["n1"] for row in rows})
     for i, method in enumerate(methods):
         mine = sorted((row for row in rows if row["method"] == method), key=lambda row: row["n1"])
+        if not mine:
+            continue
         n1 = np.array([row["n1"] for row in mine], dtype=float)
         lower, median, upper = (
             np.array([row[f"{what} {q} [{unit}]"] for row in mine])
@@ -113,7 +124,7 @@ def _draw_grid(axis: Any, rows: Sequence[Row], what: str, unit: str) -> None:
     image = axis.imshow(values, origin="lower", aspect="auto", cmap="viridis_r", norm=norm, alpha=0.6)
     axis.set_xticks(range(len(n1s)), [_size(n) for n in n1s])
     axis.set_yticks(range(len(n2s)), [_size(n) for n in n2s])
-    axis.set(xlabel="|D1|, training pairs", ylabel="|D2|, phase-space samples")
+    axis.set_xlabel("|D1|, training pairs")
     if np.isfinite(values).any():
         axis.figure.colorbar(image, ax=axis, label=f"median [{unit}]")
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one thread a worker
 
@@ -31,27 +32,45 @@ from pisplit.models.tendon_arm import TendonArm
 
 @dataclass(frozen=True)
 class Plan:
-    """Data and sizes of a run: |D1| with its number of draws (0: all pairs, once), |D2| of the grid, |D1| there."""
+    """Data and sizes of a run: |D1| with its number of draws (0: all pairs, once), |D2| of the grid, |D1| there; the
+    same of the fair protocol, whose |D2| are episodes of a twin."""
 
     scale: Scale
     sizes: Mapping[int, int]
     grid_sizes: Mapping[int, int]
     d2_sizes: tuple[int, ...]
+    fair_sizes: Mapping[int, int]
+    fair_grid: Mapping[int, int]
+    twin_episodes: tuple[int, ...]
 
 
 PLANS = {
-    "quick": Plan(Scale(8, 3, 30, 200), {16: 1, 64: 1}, {16: 1, 64: 1}, (50, 200)),
+    "quick": Plan(
+        Scale(8, 3, 30, 1600),
+        {16: 1, 64: 1},
+        {16: 1, 64: 1},
+        (50, 1600),
+        {16: 1, 64: 1},
+        {16: 1},
+        (8,),
+    ),
     "reduced": Plan(
         Scale(84, 16, 200, 4096),
         {64: 5, 256: 5, 1024: 3, 4096: 1, 0: 1},
         {64: 3, 1024: 3, 0: 1},
         (64, 512, 4096),
+        {16: 3, 64: 3, 256: 3, 1024: 1, 0: 1},
+        {16: 3, 256: 3, 0: 1},
+        (8, 20),
     ),
     "full": Plan(
         Scale(),
         {2**k: 5 if k <= 12 else 3 if k <= 14 else 1 for k in range(6, 18)} | {0: 1},
         {2**k: 5 if k <= 12 else 3 for k in range(6, 16, 2)} | {0: 1},
         (2**6, 2**9, 2**12, 2**15, 140_000),
+        {2**k: 5 if k <= 8 else 3 if k <= 12 else 1 for k in range(4, 18, 2)} | {0: 1},
+        {16: 3, 256: 3, 4096: 1, 0: 1},
+        (8, 24, 96),
     ),
 }
 
@@ -102,22 +121,23 @@ def _run_protocol(
     report: Report,
 ) -> None:
     """All cells of a protocol; figures, CSV and JSON of each law."""
-    methods, grid_method, d2_sizes = PROTOCOLS[name](plan, given)
-    folder = given.out / kind / name
-    cells = plan_cells(replace(plan, d2_sizes=d2_sizes), data, [method.name for method in methods], grid_method)
+    protocol = PROTOCOLS[name](plan, given)
+    folder, begin = given.out / kind / name, time.perf_counter()
     settings = {
         "scale": asdict(plan.scale),
         "seed": given.seed,
         "equations": EQUATIONS,
-        "methods": [repr(m.fit)[:2000] for m in methods],
+        "methods": [re.sub(r" at 0x[0-9a-f]+", "", repr(m.fit))[:2000] for m in protocol.methods],
     }
-    results = run_cells(sources, methods, cells, folder, settings, given.workers)
+    results = run_cells(sources, protocol.methods, plan_cells(protocol, data), folder, settings, given.workers)
+    report.figure(f"time of protocol {name}", time.perf_counter() - begin, "s")
     rows = table(results)
     write_csv(rows, folder / "errors.csv")
     print(printed(rows))
+    names = [method.name for method in protocol.methods]
     for law in given.laws:
-        title = f"{TITLES[name]}; inputs: {law}; {plan.scale.test} test episodes"
-        draw_panels(rows, law, [method.name for method in methods], grid_method, title, folder / f"figure-{law}.png")
+        title = f"{protocol.title}; inputs: {law}; {plan.scale.test} test episodes"
+        draw_panels(rows, law, names, protocol.drawn, title, folder / f"figure-{law}.png", protocol.d2)
     write_text(folder / "errors.json", json.dumps(finite(rows), indent=1))
     _record(report, rows, f"{name}, ")
 
@@ -132,56 +152,92 @@ def _record(report: Report, rows: Sequence[Row], prefix: str = "") -> None:
         report.figure(f"{label}, diverged", 100.0 * row["diverged"], "%")
 
 
-def plan_cells(plan: Plan, data: Mapping[str, PaperData], methods: Sequence[str], grid_method: str) -> list[Cell]:
-    """Cells of a plan; a size of 0 stands for all pairs, sizes above that are left out."""
+@dataclass(frozen=True)
+class Protocol:
+    """What is fitted to what.
+
+    methods   all of them, and by law those that cannot be had there
+    drawn     the method that is drawn over |D1| x |D2|
+    sizes     |D1| of the curves with its number of draws (0: all pairs), with the last |D2|
+    grid      |D1| of the grid likewise, with every |D2| of ``n2``
+    d2        what |D2| counts
+    """
+
+    title: str
+    methods: tuple[Method, ...]
+    drawn: str
+    sizes: Mapping[int, int]
+    grid: Mapping[int, int]
+    n2: tuple[int, ...]
+    d2: str = "phase-space samples"
+    left_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def plan_cells(protocol: Protocol, data: Mapping[str, PaperData]) -> list[Cell]:
+    """Cells of a protocol; sizes above all pairs are left out."""
     cells: dict[Cell, None] = {}
     for law, found in data.items():
-        most = largest(found)
-        for sizes, d2_sizes, names in (
-            (plan.sizes, (plan.scale.samples,), methods),
-            (plan.grid_sizes, plan.d2_sizes, [grid_method]),
+        most, without = largest(found), protocol.left_out.get(law, ())
+        names = [method.name for method in protocol.methods if method.name not in without]
+        for sizes, n2s, chosen in (
+            (protocol.sizes, protocol.n2[-1:], names),
+            (protocol.grid, protocol.n2, [protocol.drawn]),
         ):
             counts = {n if n else most: draws for n, draws in sizes.items() if n < most}
-            for n2 in d2_sizes:
-                cells |= dict.fromkeys(curve_cells([law], names, counts, n2))
+            for n2 in n2s:
+                cells |= dict.fromkeys(curve_cells([law], chosen, counts, n2))
     return list(cells)
 
 
-#: Methods of a protocol, the one that is drawn over |D1| x |D2|, and |D2| there.
-Protocol = tuple[tuple[Method, ...], str, tuple[int, ...]]
-
-
 def _paper(plan: Plan, given: argparse.Namespace) -> Protocol:
-    return paper_methods(Choices()), "PI-EDMDc", plan.d2_sizes
+    n2 = tuple(dict.fromkeys((*plan.d2_sizes, plan.scale.samples)))
+    title = "The paper's protocol as printed"
+    return Protocol(title, paper_methods(Choices()), "PI-EDMDc", plan.sizes, plan.grid_sizes, n2)
 
 
 def _ours(plan: Plan, given: argparse.Namespace) -> Protocol:
-    """The fair protocol: everything tuned on held-out episodes; its best method needs no phase-space samples."""
-    from arm_methods import methods
+    """The fair protocol: everything tuned on held-out episodes. D2 of its best method are pairs of a simulated twin."""
+    from arm_methods import TABLED, methods
+    from arm_scenarios import STEPS
 
     found = methods(given.out / "data" / "twins", given.seed)
-    chosen = tuple(Method(name, OfScenario(found[name].fit)) for name in FAIR)
-    return chosen, FAIR[-1], (plan.scale.samples,)
+    return Protocol(
+        "Fair protocol: all methods tuned on held-out episodes",
+        tuple(Method(name, OfScenario(found[name].fit, name == FAIR[-1])) for name in FAIR),
+        FAIR[-1],
+        plan.fair_sizes,
+        plan.fair_grid,
+        tuple(STEPS * episodes for episodes in plan.twin_episodes),
+        "pairs of the twin",
+        {"independent": TABLED},
+    )
 
 
 @dataclass(frozen=True)
 class OfScenario:
-    """A method that looks up what is known of the arm by the name of a scenario."""
+    """A method that looks up what is known of the arm by the name of a scenario.
+
+    twin    it simulates its D2: as many pairs as the draw has phase-space samples
+    """
 
     fit: Callable[[Draw], Predictor]
+    twin: bool
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the draw under the scenario's name."""
-        return self.fit(replace(draw, law=SCENARIOS[draw.law]))
+        from arm_methods import TwinMethod
+        from arm_scenarios import STEPS
+
+        fit = self.fit
+        if self.twin:
+            assert isinstance(fit, TwinMethod)
+            fit = replace(fit, episodes=len(draw.d2) // STEPS)
+        return fit(replace(draw, law=SCENARIOS[draw.law]))
 
 
 FAIR = ("L-EDMDc", "B-EDMDc", "L-EDMDc, rod + x_eq", "PI hold", "PI twin")
 SCENARIOS = {"zero-sum": "paper arm", "independent": "independent pulls"}
 PROTOCOLS: dict[str, Callable[[Plan, argparse.Namespace], Protocol]] = {"paper": _paper, "ours": _ours}
-TITLES = {
-    "paper": "The paper's protocol as printed",
-    "ours": "Fair protocol: all methods tuned on held-out episodes",
-}
 
 
 if __name__ == "__main__":
