@@ -90,7 +90,7 @@ class Source:
             found = PhaseSamples.load(path)
             check_origin(path, found.provenance, phase_origin(self.arm, rates, seed=self.seed, law=self.law))
             return found
-        compiled = count >= 10 * WORTH_COMPILING
+        compiled = known is not None or count >= 10 * WORTH_COMPILING  # known parts without damping take many steps
         return make_phase_samples(
             self.arm, path, count, rates, known=known, dt=DT, compiled=compiled, **self._options()
         )

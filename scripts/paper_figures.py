@@ -133,7 +133,8 @@ def _range(values: Any) -> tuple[float, float]:
     if not np.isfinite(values).any():
         return 0.1, 1.0
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return (low, high) if high > 1.05 * low else (low / 1.5, high * 1.5)
+    wider = max(1.0, np.sqrt(30.0 * low / high))  # small differences keep similar colours, ticks are powers of ten
+    return low / wider, high * wider
 
 
 def _size(n: int) -> str:
