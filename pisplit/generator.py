@@ -95,8 +95,21 @@ def half_step(
     if kind == "flow" or (samples.x_half is not None and _same_step(samples, dt)):
         flow = _flow_moments(theta, samples, dt, scale)
         known["flow"] = _known_rows(theta, flow, alpha, np.ones(theta.n_columns))
+    overflows = "generator" in known and not np.isfinite(known["generator"]).all()
+    if overflows:
+        assert found is not None
+        fastest = f"it has eigenvalues up to {found.values.real.max():.1e} 1/s"
+        if flow is None or kind == "generator":
+            raise ValueError(
+                f"the half step of the generator overflows: {fastest} over dt/2 = {0.5 * dt:g} s; take samples closer "
+                "together, give d2 the flow (x_half) for half_step='flow', or use split='hold'"
+            )
+        del known["generator"]
     errors = {} if flow is None else {name: _miss(theta, matrix, flow) for name, matrix in known.items()}
-    taken, reason = (kind, "asked for") if kind != "auto" else _choose(theta, known, errors)
+    if overflows:
+        taken, reason = "flow", f"the generator's half step overflows: {fastest}"
+    else:
+        taken, reason = (kind, "asked for") if kind != "auto" else _choose(theta, known, errors)
     matrix = known[taken]
     condition = _condition(theta, matrix)
     if condition > SINGULAR:
@@ -229,7 +242,8 @@ def _exponential(theta: Dictionary, matrix: Array) -> Array:
     """exp of a generator: the identity on delays, which no other column depends on."""
     used = _used(theta)
     result = np.eye(len(matrix))
-    result[np.ix_(used, used)] = scipy.linalg.expm(matrix[np.ix_(used, used)])
+    with np.errstate(over="ignore", invalid="ignore"):
+        result[np.ix_(used, used)] = scipy.linalg.expm(matrix[np.ix_(used, used)])
     return result
 
 

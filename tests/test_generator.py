@@ -109,3 +109,16 @@ def test_flows_of_the_wrong_step_and_wrong_sizes_are_refused() -> None:
         half_step(theta, PhaseSamples(np.zeros((2, 3)), np.zeros((2, 1)), np.zeros((2, 3))), 0.2, np.ones(5))
     with pytest.raises(ValueError, match="half_step"):
         half_step(theta, slow_manifold_samples(), 0.2, np.ones(5), "euler")
+
+
+def test_a_half_step_that_overflows_is_refused_or_gives_way_to_the_flow() -> None:
+    x = np.random.default_rng(0).normal(size=(30, 1))
+    theta = Dictionary(ob.States(), n_states=1, n_inputs=1)
+    stiff = PhaseSamples(x, np.zeros((30, 1)), 1e6 * x)
+    with pytest.raises(ValueError, match=r"overflows: it has eigenvalues up to 1\.0e\+06 1/s") as found:
+        half_step(theta, stiff, 0.1, np.ones(1))
+    assert "\n" not in str(found.value)
+    moved = half_step(theta, PhaseSamples(x, np.zeros((30, 1)), 1e6 * x, x_half=0.5 * x, dt=0.1), 0.1, np.ones(1))
+    assert moved.kind == "flow"
+    assert "overflows" in moved.reason
+    np.testing.assert_allclose(moved.K, [[0.5]], atol=1e-12)
