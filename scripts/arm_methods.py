@@ -37,6 +37,8 @@ TENDON_PAIRS = 16
 #: twin's last episodes out best is taken, beside the plain fields, which are the safer choice where the twin is wrong.
 RICH, PLAIN = ((4, 1e-6), (6, 1e-6), (12, 3e-5), (12, 1e-4)), (0, 1e-5)
 TWIN_HELD_OUT = 6
+#: Weights of the twin to choose from.
+TWIN_WEIGHTS = tuple(np.logspace(-6, 4, 6).tolist())
 #: Strains v of a backbone without shear and stretch are axial forces in the seventh digit: they predict nothing.
 OMIT = ("v",)
 #: Methods that need the table of equilibria over differential pulls.
@@ -255,7 +257,7 @@ def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
         fit = _quietly(twin_alone, twin_dictionary(training, number), ridge, training)
         errors[number, ridge] = fit.score(held, "shape").median
     best = min(errors, key=lambda key: np.nan_to_num(errors[key], nan=np.inf))
-    return [(twin_dictionary(twin, number), ridge) for number, ridge in (PLAIN, best)]
+    return twin, [(twin_dictionary(twin, number), ridge) for number, ridge in (PLAIN, best)]
 
 
 def twin_dictionary(twin: Episodes, number: int) -> Dictionary:
