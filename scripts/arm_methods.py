@@ -199,7 +199,7 @@ class TwinMethod:
         fits = []
         for theta, ridge in dictionaries:
             if self.use_pairs:
-                fit = TwinEDMDc(theta, alpha="cv", twin_alpha=ridge, omit=OMIT, cv_states="shape")
+                fit = TwinEDMDc(theta, "cv", ridge, omit=OMIT, alphas=TWIN_WEIGHTS, cv_states="shape")
                 fits.append(_quietly(fit.fit, small.episodes, twin, small.pairs(theta.n_delays)))
             else:
                 fits.append(twin_alone(theta, ridge, twin))
@@ -257,7 +257,7 @@ def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
         fit = _quietly(twin_alone, twin_dictionary(training, number), ridge, training)
         errors[number, ridge] = fit.score(held, "shape").median
     best = min(errors, key=lambda key: np.nan_to_num(errors[key], nan=np.inf))
-    return twin, [(twin_dictionary(twin, number), ridge) for number, ridge in (PLAIN, best)]
+    return [(twin_dictionary(twin, number), ridge) for number, ridge in (PLAIN, best)]
 
 
 def twin_dictionary(twin: Episodes, number: int) -> Dictionary:
