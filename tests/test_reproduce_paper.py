@@ -13,6 +13,8 @@ import pytest
 import scipy.linalg
 
 from pisplit import Episodes, PhaseSamples
+from pisplit.models import generation
+from pisplit.models.tendon_arm import TendonArm
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 DT, STATES = 0.1, 9
@@ -22,7 +24,7 @@ DT, STATES = 0.1, 9
 def modules() -> Any:
     sys.path.insert(0, str(SCRIPTS))
     try:
-        names = ("paper_methods", "paper_protocol", "paper_runs", "paper_tables", "paper_data")
+        names = ("paper_methods", "paper_protocol", "paper_runs", "paper_tables", "paper_data", "reproduce_paper")
         return SimpleNamespace(**{name: importlib.import_module(name) for name in names})
     finally:
         sys.path.remove(str(SCRIPTS))
@@ -53,9 +55,9 @@ def data(modules: Any, generator: np.ndarray) -> Any:
         us.append(u)
     quantities = ["p"] * 6 + ["q"] * 3
     episodes = Episodes(xs, us, dt=DT, quantities=quantities, outputs={"shape": range(6), "tip_velocity": range(6, 9)})
-    x = rng.normal(size=(300, STATES))
-    half = x @ scipy.linalg.expm(0.5 * DT * generator).T
-    d2 = PhaseSamples(x + 5.0, rng.normal(size=(300, 2)), x @ generator.T, half + 5.0, DT)
+    samples = rng.normal(size=(300, STATES))
+    half = samples @ scipy.linalg.expm(0.5 * DT * generator).T
+    d2 = PhaseSamples(samples + 5.0, rng.normal(size=(300, 2)), samples @ generator.T, half + 5.0, DT)
     return modules.paper_data.PaperData("any", episodes[:9], episodes[9:], d2)
 
 
@@ -175,3 +177,32 @@ class SimpleSource:
     def load_or_make(self) -> Any:
         """The data."""
         return self.data
+
+
+def test_plan_takes_all_pairs_for_zero_and_leaves_out_what_a_law_has_not(modules: Any, data: Any) -> None:
+    protocol = modules.reproduce_paper.Protocol(
+        "a title",
+        tuple(modules.paper_protocol.Method(name, Counting(modules)) for name in ("one", "two", "drawn")),
+        "drawn",
+        sizes={8: 2, 10_000: 1, 0: 1},
+        grid={8: 1},
+        n2=(50, 300),
+        left_out={"second": ("two",)},
+    )
+    cells = modules.reproduce_paper.plan_cells(protocol, {"first": data, "second": data})
+    every = modules.paper_runs.largest(data)
+    assert len(set(cells)) == len(cells)
+    for law, names in (("first", {"one", "two", "drawn"}), ("second", {"one", "drawn"})):
+        mine = [cell for cell in cells if cell.law == law]
+        curves = {(c.method, c.n1, c.seed) for c in mine if c.n2 == 300}
+        assert curves == {(name, n1, seed) for name in names for n1, seed in ((8, 0), (8, 1), (every, 0))}
+        assert [(c.method, c.n1, c.seed) for c in mine if c.n2 == 50] == [("drawn", 8, 0)]
+
+
+def test_data_of_older_equations_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = TendonArm.paper()
+    made = generation.episodes_origin(arm)
+    generation.check_origin("d1.h5", made, generation.episodes_origin(arm))
+    monkeypatch.setattr(generation, "EQUATIONS", generation.EQUATIONS + 1)
+    with pytest.raises(ValueError, match=r"d1\.h5 holds data made with equations = \d+, not \d+"):
+        generation.check_origin("d1.h5", made, generation.episodes_origin(arm))
