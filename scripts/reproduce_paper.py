@@ -21,6 +21,7 @@ from paper_data import PaperData, Scale, Source
 from paper_figures import draw_panels
 from paper_methods import Choices, paper_methods
 from paper_protocol import Draw, Method, Predictor
+from paper_reasons import reasons
 from paper_runs import Cell, curve_cells, largest, run_cells, write_text
 from paper_tables import Row, finite, printed, table, write_csv
 from paper_variations import VARIATIONS, vary
@@ -82,6 +83,7 @@ def arguments() -> argparse.Namespace:
     made.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS), help="input laws of the trajectories")
     made.add_argument("--protocols", nargs="+", choices=tuple(PROTOCOLS), default=["paper"], help="whose protocol")
     made.add_argument("--vary", nargs="+", choices=(*VARIATIONS, "all"), help="what the paper leaves open, instead")
+    made.add_argument("--reasons", action="store_true", help="why PI-EDMDc as printed diverges, instead")
     made.add_argument("--workers", type=int, default=-1, help="processes; -1 = one a core")
     return made.parse_args()
 
@@ -98,7 +100,12 @@ def main() -> None:
     sources = {law: Source(arm, law, given.out / "data", plan.scale, given.seed, given.workers) for law in given.laws}
     data = {law: source.load_or_make() for law, source in sources.items()}
     report.figure("time of data", time.perf_counter() - begin, "s")
-    if given.vary:
+    if given.reasons:
+        for law, found in data.items():
+            for label, (value, unit) in reasons(found).items():
+                print(f"{law:<12} {label:<56} {value:9.3g} {unit}")
+                report.figure(f"{law}, {label}", value, unit)
+    elif given.vary:
         names = list(VARIATIONS) if "all" in given.vary else given.vary
         rows = vary(names, sources, data, given.out / kind, plan.scale, given.workers)
         print(printed(rows))
