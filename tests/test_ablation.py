@@ -1,0 +1,91 @@
+"""The ablation: scenarios, noise, draws without ballast, how methods are held against each other."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pisplit import Episodes
+from pisplit.models.tendon_arm import TendonArm
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+def module(name: str) -> Any:
+    sys.path.insert(0, str(SCRIPTS))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(SCRIPTS))
+
+
+@pytest.fixture(scope="module")
+def arm_episodes() -> Episodes:
+    """Fields of the paper's arm at random shapes, as if recorded."""
+    scene = TendonArm.paper(nodes=4).scene
+    rng = np.random.default_rng(0)
+    found = scene.field_map(6)
+    xs = []
+    for _ in range(7):
+        states = np.zeros((400, scene.n_states))
+        states[:, : scene.n_strains] = 0.5 * rng.standard_normal((400, scene.n_strains))
+        states[:, scene.n_strains : 2 * scene.n_strains] = rng.standard_normal((400, scene.n_strains))
+        xs.append(scene.fields(states, 6).reshape(400, -1))
+    return Episodes(xs, [np.zeros((399, 3))] * 7, 0.03, quantities=found.quantities)
+
+
+def test_noise_has_the_size_that_is_said_and_keeps_rotations_rotations(arm_episodes: Episodes) -> None:
+    scenarios = module("arm_scenarios")
+    changed = scenarios.noisy(arm_episodes, 1.0, seed=0)
+    q = np.array(arm_episodes.quantities)
+    before, after = arm_episodes.stacked_states(), changed.stacked_states()
+    difference = after - before
+    assert difference[:, q == "p"].std() == pytest.approx(1e-3, rel=0.02)
+    spread = np.sqrt(np.mean(before[:, q == "q"].std(axis=0) ** 2))
+    assert difference[:, q == "q"].std() == pytest.approx(0.05 * spread, rel=0.02)
+    frames = after[:, q == "R"].reshape(-1, 3, 3)
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.tile(np.eye(3), (len(frames), 1, 1)), atol=1e-9)
+    turns = before[:, q == "R"].reshape(-1, 3, 3).transpose(0, 2, 1) @ frames
+    angles = np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    assert np.sqrt(np.mean(angles**2) / 3) == pytest.approx(np.deg2rad(1.0), rel=0.02)
+    np.testing.assert_array_equal(difference[:, q == "v"], 0.0)
+    assert scenarios.noisy(arm_episodes, 0.0, seed=0) is arm_episodes
+
+
+def test_wrong_physics_is_wrong_in_what_is_told_not_in_what_moves() -> None:
+    found = module("arm_scenarios").scenarios()
+    paper = TendonArm.paper()
+    stiff = found["E 20 % too high"]
+    assert stiff.arm.scene == paper.scene
+    np.testing.assert_allclose(stiff.known.scene.rod.stiffness[:3], 1.2 * np.array(paper.scene.rod.stiffness[:3]))
+    assert found["capstan friction"].known.scene == paper.scene
+    assert found["capstan friction"].arm.scene != paper.scene
+    guess = found["paper arm"].first_guess
+    np.testing.assert_allclose(np.hypot(*guess.offset.T), 1.15 * 15.06e-3)
+
+
+def test_a_compact_draw_holds_the_same_pairs_and_held_out_episodes(arm_episodes: Episodes) -> None:
+    protocol, methods = module("paper_protocol"), module("arm_methods")
+    rows = np.array([[2, 7], [0, 30], [2, 5]])
+    draw = protocol.Draw("paper arm", arm_episodes, rows, None, 0)
+    small = methods.compact(draw)
+    assert len(small.episodes) == 2 + protocol.HELD_OUT
+    np.testing.assert_array_equal(small.pairs(1).x, draw.pairs(1).x)
+    np.testing.assert_array_equal(small.pairs(1).x_next, draw.pairs(1).x_next)
+    np.testing.assert_array_equal(small.held_out.stacked_states(), draw.held_out.stacked_states())
+
+
+def test_gains_are_over_the_best_baseline_and_need_all_of_them() -> None:
+    ablation, protocol = module("ablation"), module("paper_protocol")
+    made = {"L-EDMDc": 4e-3, "B-EDMDc": 2e-3, "PI twin": 1e-5}
+    table = {("paper arm", name, 16): protocol.Summary(value, value, value, 0.0) for name, value in made.items()}
+    assert ablation.gain(table, "paper arm", 16, ablation.BASELINES) == pytest.approx(200.0)
+    del table["paper arm", "B-EDMDc", 16]
+    assert ablation.gain(table, "paper arm", 16, ablation.BASELINES) is None
+    lost = protocol.Summary(np.inf, 1.0, np.inf, 0.75)
+    assert "diverges [75 %]" in ablation.text(table | {("paper arm", "L-EDMDc", 16): lost}, "paper arm")
