@@ -38,6 +38,8 @@ OURS = "PI twin"
 OTHERS = (*BASELINES, "PI hold", OURS)
 #: Pairs (steps) of the rows that are run at one size.
 ONE_SIZE = 64
+#: Draws of the row whose every fit simulates its pairs some hundred times.
+SLOW_DRAWS = 2
 #: Splits that need the table of equilibria over differential pulls.
 TABLED = (*INFORMED, "PI Strang", "PI balanced", "PI hold")
 
@@ -69,6 +71,8 @@ def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
                 continue
             if method.endswith("no pairs"):
                 size, draws = 1, 1
+            if method.endswith("from pairs"):
+                draws = min(draws, SLOW_DRAWS)
             for seed in range(draws):
                 yield Cell(name, method, size or every, PHASE_SAMPLES, seed)
 
