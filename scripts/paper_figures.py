@@ -46,7 +46,8 @@ def draw_panels(
     for axis, (what, label, unit), letter in zip(axes[0], KINDS, "ab", strict=True):
         curves = [row for row in mine if row["n2"] == most]
         _draw_curves(axis, curves, methods, what, unit)
-        axis.set(title=f"({letter}) {label}, |D2| = {most}", ylabel=f"{label} [${unit}$]")
+        axis.set_title(f"({letter}) {label}, |D2| = {most}", pad=12)  # clear of markers on the upper edge
+        axis.set_ylabel(f"{label} [${unit}$]")
     grid = [row for row in mine if row["method"] == grid_method]
     for axis, (what, label, unit), letter in zip(axes[1], KINDS, "cd", strict=True):
         _draw_grid(axis, grid, what, f"${unit}$")
@@ -65,6 +66,8 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
     low, high = (min(finite), max(finite)) if finite else (1e-6, 1.0)
     bottom, top = 0.5 * low, 30.0 * high
     sizes = sorted({row["n1"] for row in rows})
+    # A size close below the next one keeps its marker; labels would lie on each other.
+    labelled = [a for a, b in zip(sizes, [*sizes[1:], np.inf], strict=True) if b > 1.5 * a]
     for i, method in enumerate(methods):
         mine = sorted((row for row in rows if row["method"] == method), key=lambda row: row["n1"])
         if not mine:
@@ -84,7 +87,7 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
         axis.plot(n1[fine], median[fine], marker, color=colour, ms=6)
         axis.plot(n1[~fine], shown[~fine], marker, mfc="white", mec=colour, mew=1.6, ms=9, clip_on=False, zorder=5)
         for x, y, part in zip(n1, shown, diverged, strict=True):
-            if part > 0.0:
+            if part > 0.0 and x in labelled:
                 offset = (0, -13 - 11 * i) if y >= top else (0, 7 if i % 2 else -15)
                 axis.annotate(
                     f"{100 * part:.0f} %",
@@ -98,7 +101,7 @@ def _draw_curves(axis: Any, rows: Sequence[Row], methods: Sequence[str], what: s
     axis.set_xscale("log", base=2)
     axis.set_yscale("log")
     axis.set_ylim(bottom, top)
-    axis.set_xticks(sizes, [_size(size) for size in sizes])
+    axis.set_xticks(labelled, [_size(size) for size in labelled])
     axis.minorticks_off()
     axis.set_xlabel("|D1|, training pairs")
 

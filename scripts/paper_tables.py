@@ -79,11 +79,12 @@ def printed(rows: Sequence[Row], label: str = "method") -> str:
     """The table as text."""
     width = max(len(str(row[label])) for row in rows)
     lines = [
-        f"{'law':<12} {label:<{width}} {'|D1|':>7} {'|D2|':>7} {'shape [m^2]':>29} {'velocity':>9} {'diverged':>9}"
+        f"{'law':<12} {label:<{width}} {'|D1|':>7} {'|D2|':>7} {'shape [m^2]':>29} {'velocity':>9} {'diverged':>9} {'at step':>7}"
     ]
     for row in rows:
         lower, median, upper = (row[f"shape {q} [m^2]"] for q in ("lower quartile", "median", "upper quartile"))
         shape = f"{median:.2e} [{lower:.1e}, {upper:.1e}]"
         line = f"{row['law']:<12} {row[label]:<{width}} {row['n1']:>7} {row['n2']:>7} {shape:>29}"
-        lines.append(f"{line} {row['velocity median [m^2/s^2]']:>9.2e} {100 * row['diverged']:>7.0f} %")
+        line += f" {row['velocity median [m^2/s^2]']:>9.2e} {100 * row['diverged']:>7.0f} %"
+        lines.append(line + (f" {row['median step of divergence']:>7.0f}" if row["diverged"] > 0.0 else ""))
     return "\n".join(lines)
