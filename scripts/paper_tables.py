@@ -78,9 +78,8 @@ def finite(rows: Sequence[Row]) -> list[Row]:
 def printed(rows: Sequence[Row], label: str = "method") -> str:
     """The table as text."""
     width = max(len(str(row[label])) for row in rows)
-    lines = [
-        f"{'law':<12} {label:<{width}} {'|D1|':>7} {'|D2|':>7} {'shape [m^2]':>29} {'velocity':>9} {'diverged':>9} {'at step':>7}"
-    ]
+    head = f"{'law':<12} {label:<{width}} {'|D1|':>7} {'|D2|':>7} {'shape [m^2]':>29}"
+    lines = [f"{head} {'velocity':>9} {'diverged':>9} {'at step':>7}"]
     for row in rows:
         lower, median, upper = (row[f"shape {q} [m^2]"] for q in ("lower quartile", "median", "upper quartile"))
         shape = f"{median:.2e} [{lower:.1e}, {upper:.1e}]"
