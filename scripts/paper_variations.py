@@ -19,7 +19,7 @@ from pisplit.models.generation import EQUATIONS
 #: |D1| and draws; phase samples.
 SIZES = {64: 1, 1024: 1}
 SAMPLES = 4096
-#: Phase samples of other known parts: the flow of an undamped backbone takes thirty times as long.
+#: Phase samples of other known parts: the flow of an undamped backbone takes some twenty times as long.
 PART_SAMPLES = 512
 
 #: Other settings of a choice; the defaults (:class:`Choices`) run beside them.
