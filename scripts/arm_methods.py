@@ -33,9 +33,10 @@ TWIN_EPISODES, TWIN_SEED = 96, 1_000_003
 DAMPING_PAIRS, DAMPING_STEP = 24, 0.05
 #: Pairs that tendons are identified from when no equilibria are known.
 TENDON_PAIRS = 16
-#: Numbers of principal components whose products are columns, and ridges of the twin's regression: what rolls the
-#: twin's last episodes out best is taken, beside the plain fields, which are the safer choice where the twin is wrong.
-RICH, PLAIN = ((4, 1e-6), (6, 1e-6), (12, 3e-5), (12, 1e-4)), (0, 1e-5)
+#: Numbers of principal components whose products are columns and of radial functions of the inputs (with slack
+#: features), and ridges of the twin's regression: what rolls the twin's last episodes out best is taken, beside the
+#: plain fields, which are the safer choice where the twin is wrong.
+RICH, PLAIN = ((4, 0, 1e-6), (6, 0, 1e-6), (12, 0, 3e-5), (12, 0, 1e-4), (4, 100, 1e-5)), (0, 0, 1e-5)
 TWIN_HELD_OUT = 6
 #: Weights of the twin to choose from.
 TWIN_WEIGHTS = tuple(np.logspace(-6, 4, 6).tolist())
@@ -253,15 +254,18 @@ def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
     """The plain dictionary and the rich one that rolls out held-out episodes of the twin best, with their ridges."""
     training, held = twin[:-TWIN_HELD_OUT], twin[-TWIN_HELD_OUT:]
     errors = {}
-    for number, ridge in RICH:
-        fit = _quietly(twin_alone, twin_dictionary(training, number), ridge, training)
-        errors[number, ridge] = fit.score(held, "shape").median
+    for number, centres, ridge in RICH:
+        fit = _quietly(twin_alone, twin_dictionary(training, number, centres), ridge, training)
+        errors[number, centres, ridge] = fit.score(held, "shape").median
     best = min(errors, key=lambda key: np.nan_to_num(errors[key], nan=np.inf))
-    return [(twin_dictionary(twin, number), ridge) for number, ridge in (PLAIN, best)]
+    return [(twin_dictionary(twin, number, centres), ridge) for number, centres, ridge in (PLAIN, best)]
 
 
-def twin_dictionary(twin: Episodes, number: int) -> Dictionary:
-    """Bilinear dictionary of the fields, with products of ``number`` principal components."""
+def twin_dictionary(twin: Episodes, number: int, centres: int) -> Dictionary:
+    """Bilinear dictionary of the fields, with products of principal components and functions of the inputs."""
+    inputs: list[Any] = []
+    if centres:
+        inputs = [ob.Slack(SLACK_WIDTH), ob.Radial.from_data(twin.stacked_inputs()[::7], centres, of="inputs")]
     components = [ob.Principal.of(twin.stacked_states(), number, twin.quantities, OMIT)] if number else []
     return Dictionary(
         ob.Constant(),
@@ -269,6 +273,7 @@ def twin_dictionary(twin: Episodes, number: int) -> Dictionary:
         *(ob.compose(ob.Polynomials(2), c) for c in components),
         ob.Inputs(),
         ob.Polynomials(2, of="inputs"),
+        *inputs,
         ob.Delays(inputs=1),
         ob.Bilinear(),
         n_states=twin.n_states,
