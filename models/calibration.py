@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.calibrated import PARAMETERS, CalibratedTendons, TendonParameters
 from pisplit.models.rod import KelvinVoigt, Scene, Tendons
+from pisplit.models.rod.fields import N_FIELDS
 from pisplit.models.tendon_arm import TendonArm
 
 #: What can be identified: the tendons, and factors of the backbone's stiffness and damping.
@@ -36,7 +37,8 @@ class Calibration:
 
     arm         the arm with the identified tendons, to simulate (``make_episodes``) or to solve
     parameters  what was identified
-    residual    root mean square of the residuals: parts of EI/L (equilibria) or of the coordinates' spread (pairs)
+    residual    root mean square of the residuals: parts of EI/L (equilibria), standard deviations of the measurement
+                (shapes), or parts of the coordinates' spread (pairs)
     samples     number of equilibria or pairs that were used; a pair whose simulation fails does not count
     success     False if the least squares stopped before they converged
     """
@@ -111,6 +113,56 @@ def calibrate_from_equilibria(
     return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(u), found.status > 0)
 
 
+def calibrate_from_shapes(
+    arm: TendonArm,
+    inputs: ArrayLike,
+    fields: ArrayLike,
+    position_error: float = 1e-3,
+    rotation_error: float = 0.02,
+    stations: int = 6,
+    free: Sequence[str] = ("tendons", "bending"),
+    start: TendonParameters | None = None,
+) -> Calibration:
+    """Tendons whose equilibria look like measured ones: least squares on positions and frames of solved statics.
+
+    The balance of forces at a measured shape (``calibrate_from_equilibria``) is exact for exact shapes and lost for
+    noisy ones: stiff tendons turn the noise of curvatures into tensions, and the fit takes their offsets to zero.
+    Shapes that are solved for carry the noise of the camera alone.
+
+    Args:
+        inputs: displacements (N, m) in m.
+        fields: measured fields (N, 24 S) at rest under them, of which positions and frames count.
+        position_error, rotation_error: standard deviations of the measured positions in m and frames in rad.
+        arm, free, start: as in ``calibrate_from_equilibria``.
+    """
+    u = finite_array(inputs, "inputs", (None, arm.scene.n_inputs))
+    measured = finite_array(fields, "fields", (len(u), N_FIELDS * stations)).reshape(len(u), stations, N_FIELDS)
+    if "damping" in free:
+        raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_pairs")
+    model = _Model(arm, start, free)
+    statics, slots = model.scene.statics(), model.slots
+    error = np.repeat([positive(position_error, "position_error"), positive(rotation_error, "rotation_error")], [3, 9])
+
+    def misses(x: Array) -> Array:
+        w = np.zeros((len(u), model.scene.n_inputs))
+        w[:, slots["moves"]] = u
+        w[:, slots[PARAMETERS]] = model.full(x)
+        solved = statics.solve_many(w)
+        shapes = model.scene.fields(np.nan_to_num(solved.states), stations)[..., :12]
+        missed = (shapes - measured[..., :12]) / error
+        missed[~solved.success] = LOST / position_error * arm.scene.rod.length
+        return missed.reshape(-1)
+
+    def residual(x: Array) -> Array:
+        return np.concatenate([misses(x), model.prior(x)])
+
+    first = model.start[model.free]
+    found = least_squares(
+        residual, first, jac=_central(residual), x_scale=model.spread[model.free], max_nfev=100, ftol=1e-6, xtol=1e-6
+    )
+    return model.result(found.x, float(np.sqrt(np.mean(misses(found.x) ** 2))), len(u), found.status > 0)
+
+
 def calibrate_from_pairs(
     arm: TendonArm,
     before: ArrayLike,
@@ -163,14 +215,22 @@ def calibrate_from_pairs(
     def residual(x: Array) -> Array:
         return np.concatenate([predicted(x)[0].ravel() / STEP_ERROR, model.prior(x)])
 
-    def slope(x: Array) -> Array:
-        steps = DIFFERENCE * np.eye(len(x))  # absolute: logarithms start at zero
-        return np.stack([(residual(x + d) - residual(x - d)) / (2.0 * DIFFERENCE) for d in steps], axis=1)
-
     scale = model.spread[model.free]
-    found = least_squares(residual, model.start[model.free], jac=slope, x_scale=scale, max_nfev=evaluations)
+    found = least_squares(
+        residual, model.start[model.free], jac=_central(residual), x_scale=scale, max_nfev=evaluations
+    )
     r = predicted(found.x)[0]
     return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(x0), found.status > 0)
+
+
+def _central(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Jacobian by central differences with absolute steps: logarithms start at zero."""
+
+    def slope(x: Array) -> Array:
+        steps = DIFFERENCE * np.eye(len(x))
+        return np.stack([(function(x + d) - function(x - d)) / (2.0 * DIFFERENCE) for d in steps], axis=1)
+
+    return slope
 
 
 def nominal_parameters(arm: TendonArm) -> TendonParameters:

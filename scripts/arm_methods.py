@@ -12,14 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arm_scenarios import STATIONS, STEPS, Scenario, coordinates, equilibria, scenarios
+from arm_scenarios import NOISE, STATIONS, STEPS, Scenario, coordinates, equilibria, scenarios
 from paper_data import DT
 from paper_protocol import HELD_OUT, Draw, Lifted, Method, Prediction, Predictor, contiguous
 
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.models.arm_physics import ArmPhysics
-from pisplit.models.calibration import Calibration, calibrate_from_equilibria, calibrate_from_pairs
+from pisplit.models.calibration import (
+    Calibration,
+    calibrate_from_equilibria,
+    calibrate_from_pairs,
+    calibrate_from_shapes,
+)
 from pisplit.models.equilibrium import EquilibriumTable, equilibrium_table
 from pisplit.models.generation import EQUATIONS, make_episodes
 
@@ -290,7 +295,11 @@ def twin_alone(theta: Dictionary, ridge: float, twin: Episodes) -> TwinEDMDc:
 def from_equilibria(name: str, seed: int) -> Calibration:
     """Tendons and bending stiffness of a scenario's arm from its equilibria."""
     scenario = scenarios()[name]
-    u, rest = equilibria(name, seed)
+    u, fields = equilibria(name, seed)
+    if scenario.noise:
+        errors = (scenario.noise * NOISE["p"], scenario.noise * NOISE["R"])
+        return calibrate_from_shapes(scenario.known, u, fields, *errors, start=scenario.first_guess)
+    rest = coordinates(scenario.known, fields)
     return calibrate_from_equilibria(scenario.known, u, rest, start=scenario.first_guess)
 
 

@@ -169,7 +169,7 @@ def noisy(episodes: Episodes, factor: float, seed: int) -> Episodes:
 
 @lru_cache(maxsize=16)
 def equilibria(name: str, seed: int) -> tuple[Array, Array]:
-    """Displacements (16, m) in m and measured rod coordinates (16, 2n) of the arm of a scenario at rest."""
+    """Displacements (16, m) in m and measured fields (16, 24 S) of the arm of a scenario at rest."""
     scenario = scenarios()[name]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EQUILIBRIA_SEED,)))
     u = random_targets(scenario.arm, EQUILIBRIA, rng, scenario.law)
@@ -178,8 +178,7 @@ def equilibria(name: str, seed: int) -> tuple[Array, Array]:
     fields = scenario.arm.scene.fields(states, STATIONS).reshape(len(u), -1)
     found = scenario.arm.scene.field_map(STATIONS)
     still = Episodes([fields], [u[1:]], DT, quantities=found.quantities)
-    measured = noisy(still, scenario.noise, seed + 1).xs[0]
-    return u, coordinates(scenario.known, measured)
+    return u, noisy(still, scenario.noise, seed + 1).xs[0]
 
 
 def coordinates(arm: TendonArm, fields: Array) -> Array:

@@ -7,7 +7,12 @@ import pytest
 
 from pisplit.models import rod
 from pisplit.models.calibrated import CalibratedTendons, TendonParameters
-from pisplit.models.calibration import calibrate_from_equilibria, calibrate_from_pairs, nominal_parameters
+from pisplit.models.calibration import (
+    calibrate_from_equilibria,
+    calibrate_from_pairs,
+    calibrate_from_shapes,
+    nominal_parameters,
+)
 from pisplit.models.generation import random_differential
 from pisplit.models.tendon_arm import TendonArm
 
@@ -52,6 +57,23 @@ def test_sixteen_equilibria_and_a_wrong_drawing_give_the_arm_to_a_twentieth_of_a
     assert np.abs(twin - exact).max() < 5e-5
     np.testing.assert_allclose(found.parameters.offset, nominal_parameters(arm).offset, atol=1e-4)
     assert found.parameters.bending == pytest.approx(1.0, abs=1e-4)
+
+
+def test_noisy_shapes_give_an_arm_whose_statics_are_below_the_noise(arm: TendonArm, wrong: TendonParameters) -> None:
+    """1 mm on positions: a fit of the balance of forces takes the tendons to the axis, one of shapes does not."""
+    u, strains = equilibria(arm, 16, 0)
+    rng = np.random.default_rng(3)
+    states = np.hstack([strains, np.zeros_like(strains), u])
+    fields = arm.scene.fields(states, 6).reshape(16, -1).copy()
+    positions = np.array([q == "p" for q in arm.scene.field_map(6).quantities])
+    fields[:, positions] += 1e-3 * rng.standard_normal((16, int(positions.sum())))
+    found = calibrate_from_shapes(arm, u, fields, 1e-3, 0.02, start=wrong)
+    assert found.success
+    assert found.residual < 1.0
+    v, exact_strains = equilibria(arm, 20, 1)
+    exact = arm.scene.fields(np.hstack([exact_strains, np.zeros_like(exact_strains), v]))[..., :3]
+    twin = found.arm.scene.fields(found.arm.scene.statics().solve_many(v).states)[..., :3]
+    assert np.sqrt(np.mean((twin - exact) ** 2)) < 3e-4
 
 
 def test_a_backbone_told_too_stiff_is_found_by_its_weight(arm: TendonArm, wrong: TendonParameters) -> None:
