@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 class TwinEDMDc(Estimator):
     """PI-EDMDc whose known part is simulated: a twin (the known f with an identified h) makes trajectories D2.
 
-        K = argmin 1/N_1 sum_D1 |K Theta - psi'|^2 + alpha (1/N_2 sum_D2 |K Theta - psi'|^2 + mu |K|^2)
+        K = argmin 1/N_1 sum_D1 |K Theta - psi'|^2 + alpha/N_2 sum_D2 |K Theta - psi'|^2 + (1 + alpha) mu |K|^2
 
     in scaled columns: EDMDc on the recorded pairs D1 where alpha is small, on the twin's where it is large. The twin
     moves f and h together, so nothing is split and no K_f is inverted; what the twin gets wrong, data repair in the
@@ -110,8 +110,8 @@ class TwinEDMDc(Estimator):
 class Fusion:
     """The regression of :class:`TwinEDMDc`, prepared for the pairs of a twin.
 
-    With the twin's rows reduced to a triangle R and its own answer K_0, G = R (K - K_0)^T leaves a plain ridge
-    |A R^-1 G - (Psi' - A K_0^T)|^2 / N_1 + alpha |G|^2: one singular value decomposition for every alpha.
+    Rows that stand for the recorded pairs, for the twin's and for the ridge are stacked with the roots of their weights
+    and reduced by orthogonal transformations; nothing is squared.
     """
 
     #: Default grid of alpha="cv": from the data alone to the twin alone.
@@ -132,31 +132,27 @@ class Fusion:
             self.shift[:] = 0.0
         else:
             self.shift[self.constant] = 0.0
-        a, y = self._means(moments)
+        self.twin = self._means(moments)
         variance = float(np.mean((moments.std[:size] / self.scale)[~self.omitted] ** 2))
-        penalty = twin_alpha * (variance or 1.0)
-        ridge = np.sqrt(penalty) * np.eye(size)
+        self.ridge = np.sqrt(twin_alpha * (variance or 1.0)) * np.eye(size)
         if self.constant is not None:
-            ridge[self.constant] = 0.0
-        q, self.triangle = scipy.linalg.qr(np.vstack([a, ridge]), mode="economic")
-        self.prior = scipy.linalg.solve_triangular(self.triangle, q[: len(a)].T @ y).T
+            self.ridge[self.constant] = 0.0
 
     def solver(self, pairs: Pairs) -> Solver:
         """A function alpha -> fit for these pairs."""
         a, y = self._means(self.context.moments(pairs))
-        whitened = scipy.linalg.solve_triangular(self.triangle, a.T, trans="T").T
-        u, s, vt = np.linalg.svd(whitened, full_matrices=False)
-        projected = u.T @ (y - a @ self.prior.T)
-        rank = int((s > np.finfo(float).eps * max(a.shape) * s.max(initial=0.0)).sum())
+        a_twin, y_twin = self.twin
+        nothing = np.zeros((len(self.ridge), y.shape[1]))
 
         def solve(alpha: float) -> SplitFit:
-            kept = np.zeros_like(s)
-            kept[:rank] = s[:rank] / (s[:rank] ** 2 + alpha)
-            change = scipy.linalg.solve_triangular(self.triangle, vt.T @ (kept[:, None] * projected)).T
-            k = self.prior + change
+            weight, ridge = np.sqrt(alpha), np.sqrt(1.0 + alpha)
+            rows = np.vstack([a, weight * a_twin, ridge * self.ridge])
+            q, triangle = scipy.linalg.qr(rows, mode="economic")
+            target = q.T @ np.vstack([y, weight * y_twin, nothing])
+            k = scipy.linalg.solve_triangular(triangle, target).T
             if self.constant is not None:
                 k[:, self.constant] -= k @ self.shift
-            return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=rank)
+            return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=len(triangle))
 
         return solve
 

@@ -38,7 +38,7 @@ def test_the_truth_is_found_from_a_perfect_twin_and_one_pair_whatever_alpha():
 
 def test_alpha_goes_from_the_data_to_the_twin():
     d1, twin = episodes(A, B), episodes(0.8 * A, 1.5 * B, seed=1)
-    data = TwinEDMDc(theta(), alpha=1e-12).fit(d1, twin).lifted
+    data = TwinEDMDc(theta(), alpha=1e-12, twin_alpha=1e-13).fit(d1, twin).lifted
     assert_allclose(data.A, LinearEDMDc(theta(), alpha=0.0).fit(d1).lifted.A, atol=1e-7)
     physics = TwinEDMDc(theta(), alpha=1e10, twin_alpha=1e-12).fit(d1, twin).lifted
     assert_allclose(physics.A, LinearEDMDc(theta(), alpha=0.0).fit(twin).lifted.A, atol=1e-7)
