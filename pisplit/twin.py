@@ -83,7 +83,10 @@ class TwinEDMDc(Estimator):
         if isinstance(d1, Episodes):
             _check_alike(d1, twin)
         self._twin = twin.pairs(self.theta.n_delays)
-        self._fit(d1, None, pairs, equilibria, self._twin)
+        try:
+            self._fit(d1, None, pairs, equilibria, self._twin)
+        finally:
+            del self._twin  # a fitted model keeps none of its data
         return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:

@@ -38,7 +38,7 @@ def mass_matrix(scene: rod.Scene, xi: np.ndarray) -> np.ndarray:
     return -weights[:, None] * np.asarray(jacobian(xi, 0.3 * xi, 0 * xi, np.zeros(scene.n_inputs)))
 
 
-def test_the_paper_arm_costs_what_it_did_before_sections_could_vary() -> None:
+def test_the_uniform_paper_arm_pays_nothing_for_sections_that_could_vary() -> None:
     assert residual_size(TendonArm.paper(nodes=5).scene) == (1300, 2977)
 
 

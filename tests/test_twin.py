@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, PhaseSamples, TwinEDMDc
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, Pairs, PhaseSamples, TwinEDMDc
 from pisplit import observables as ob
 
 A = np.array([[0.95, 0.10], [-0.08, 0.90]])
@@ -73,9 +73,11 @@ def test_a_bilinear_dictionary_makes_a_bilinear_model():
     assert_allclose(model.N[0, 1:, 1:], 0.2 * np.eye(2), atol=1e-7)
 
 
-def test_what_is_omitted_predicts_nothing_and_is_predicted():
+def test_what_is_omitted_predicts_nothing_and_is_predicted_and_no_data_are_kept():
     d1, twin = episodes(A, B), episodes(A, B, seed=1)
-    model = TwinEDMDc(theta(), alpha=1.0, omit=["x2"]).fit(d1, twin).lifted
+    estimator = TwinEDMDc(theta(), alpha=1.0, omit=["x2"]).fit(d1, twin)
+    assert not any(isinstance(value, Episodes | Pairs) for value in vars(estimator).values())
+    model = estimator.lifted
     column = model.column_names.index("x2")
     assert_allclose(model.A[:, column], 0.0, atol=1e-14)
     assert np.abs(model.A[column]).max() > 0.01
