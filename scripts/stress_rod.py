@@ -137,7 +137,8 @@ def _panel(axis: Any, rows: list[Row], names: tuple[str, ...], varied: str) -> N
         axis.legend(frameon=False, loc="best", fontsize=9)
     if any(row[varied] == 0.0 for row in of):
         axis.axvline(zero, color="#999999", lw=0.8, ls=":")
-        axis.text(zero, 0.5, " zero", transform=axis.get_xaxis_transform(), fontsize=9, color="#555555")
+        below = {"xytext": (0, -14), "textcoords": "offset points", "ha": "center"}  # where ticks have their labels
+        axis.annotate("0", (zero, 0.0), xycoords=axis.get_xaxis_transform(), **below)
     axis.set(xscale="linear" if varied == "amplitude" else "log", yscale="log")
     axis.set_ylabel("residual (EI/L)" if cold else "tip error / L")
     axis.grid(alpha=0.25)
