@@ -23,7 +23,7 @@ class TendonParameters:
     """Parameters of parallel tendons and of the backbone they bend.
 
     offset     (m, 2) points in the section plane in m
-    stiffness  (m,) tension per stretch in N/m
+    stiffness  (m,) tension per stretch in N/m of a tendon of the backbone's length
     slack      (m,) stretch in m of the undisplaced tendon on the straight backbone; negative: it hangs loose
     rounding   width in m over which the corner between slack and taut is rounded
     bending    factor of the elastic moments of the backbone: 1 where its stiffness is what the scene says
@@ -74,9 +74,9 @@ REFERENCE_STIFFNESS, REFERENCE_SLACK = 1e4, 1e-3
 class CalibratedTendons:
     """Parallel tendons pulled by displacements u, and corrections of the backbone, as one active stress.
 
-    Tendon i has the path a_i = e3 + w x r_i, the stretch s_i + u_i + int (|a_i| - 1) ds, the tension
-    softplus(k_i stretch), and adds tension a_i / |a_i| to the internal force and its moment at r_i to the internal
-    moment, as ``rod.Tendons`` do.
+    Tendon i has the path a_i = e3 + w x r_i, the unstretched length l_i = L - s_i - u_i, the stretch
+    int |a_i| ds - l_i and, by Hooke's law of what is not pulled in, the tension softplus(k_i L / l_i stretch). It adds
+    tension a_i / |a_i| to the internal force and its moment at r_i to the internal moment, as ``rod.Tendons`` do.
 
     Args:
         n_tendons: number of tendons m.
@@ -121,8 +121,9 @@ class CalibratedTendons:
             r = ca.repmat(ca.vertcat(offsets[:, i], 0), 1, rule.n_nodes)
             a = motion.v + columnwise_cross(motion.w, r)
             norm = ca.sqrt(ca.sum1(a * a))
-            stretch = REFERENCE_SLACK * given[3 * m + i] + u[i] + norm @ ca.DM(rule.weights) - rule.length
-            stiffness = REFERENCE_STIFFNESS * ca.exp(given[2 * m + i])
+            shortened = REFERENCE_SLACK * given[3 * m + i] + u[i]
+            stretch = shortened + norm @ ca.DM(rule.weights) - rule.length
+            stiffness = REFERENCE_STIFFNESS * ca.exp(given[2 * m + i]) / (1.0 - shortened / rule.length)
             # The corner is rounded over a stretch, so that the logarithm of the width is a regular parameter.
             tension = stiffness * REFERENCE_SLACK * rounding * softplus(stretch / (REFERENCE_SLACK * rounding), 1.0)
             pull = tension * a / ca.repmat(norm, 3, 1)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -11,51 +10,26 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from pisplit.checks import Array, finite_array, positive
-from pisplit.models.calibrated import PARAMETERS, CalibratedTendons, TendonParameters
-from pisplit.models.rod import KelvinVoigt, Scene, Tendons
-from pisplit.models.rod.fields import N_FIELDS
+from pisplit.models.calibrated import PARAMETERS, TendonParameters
+from pisplit.models.calibration_model import GROUPS, Calibration, ParametrisedArm, nominal_parameters
+from pisplit.models.resting_shapes import LOST, RestingShapes, central_slope
 from pisplit.models.tendon_arm import TendonArm
 
-#: What can be identified: the tendons, and factors of the backbone's stiffness and damping.
-GROUPS = ("tendons", "bending", "damping")
-#: Spread of every parameter about its first guess that regularises the fit: offsets by half a radius, stiffness and
-#: slack by a factor of e^3 and 1 mm, rounding by e, stiffness and damping of the backbone by e^0.3 and e.
-SPREAD = {"offset": 0.5, "stiffness": 3.0, "slack": 1.0, "rounding": 1.0, "bending": 0.3, "damping": 1.0}
+__all__ = [
+    "Calibration",
+    "calibrate_from_equilibria",
+    "calibrate_from_pairs",
+    "calibrate_from_shapes",
+    "nominal_parameters",
+]
+
 #: Residuals that count as one standard deviation: of static moments, as parts of EI/L, and of one-step predictions, as
 #: parts of the spread of the recorded coordinates.
 STATIC_ERROR, STEP_ERROR = 1e-3, 1e-3
-#: Error of a pair whose simulation fails for the parameters of the moment: a step there is no progress.
-LOST = 10.0
-#: Steps of central differences of simulated pairs; their integrator has a tolerance of 1e-6.
-DIFFERENCE = 3e-3
+#: Tolerance of simulated pairs.
 SIMULATION_RTOL = 1e-6
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """Identified arm.
-
-    arm         the arm with the identified tendons, to simulate (``make_episodes``) or to solve
-    parameters  what was identified
-    residual    root mean square of the residuals: parts of EI/L (equilibria), standard deviations of the measurement
-                (shapes), or parts of the coordinates' spread (pairs)
-    samples     number of equilibria or pairs that were used; a pair whose simulation fails does not count
-    success     False if the least squares stopped before they converged
-    """
-
-    arm: TendonArm
-    parameters: TendonParameters
-    residual: float
-    samples: int
-    success: bool
-
-    def with_damping(self, factor: float) -> Calibration:
-        """The same with another factor of the backbone's damping."""
-        parameters = replace(self.parameters, damping=positive(factor, "factor"))
-        term = next(t for t in self.arm.scene.terms if isinstance(t, CalibratedTendons))
-        changed = replace(term, values=tuple(parameters.vector(term.radius).tolist()))
-        scene = self.arm.scene.without(CalibratedTendons) + changed
-        return replace(self, arm=replace(self.arm, scene=scene), parameters=parameters)
+#: Relative change of parameters or cost that ends a fit to simulated steps: below are digits of the integrator.
+SIMULATED_DIGITS = 1e-4
 
 
 def calibrate_from_equilibria(
@@ -79,7 +53,7 @@ def calibrate_from_equilibria(
     n = arm.scene.n_strains
     u = finite_array(inputs, "inputs", (None, arm.scene.n_inputs))
     xi = finite_array(np.asarray(coordinates, dtype=float)[:, :n], "coordinates", (len(u), n))
-    model = _Model(arm, start, free)
+    model = ParametrisedArm(arm, start, free)
     if "damping" in free:
         raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_pairs")
     shape, given, balance = model.scene.static_balance
@@ -135,32 +109,25 @@ def calibrate_from_shapes(
         position_error, rotation_error: standard deviations of the measured positions in m and frames in rad.
         arm, free, start: as in ``calibrate_from_equilibria``.
     """
-    u = finite_array(inputs, "inputs", (None, arm.scene.n_inputs))
-    measured = finite_array(fields, "fields", (len(u), N_FIELDS * stations)).reshape(len(u), stations, N_FIELDS)
+    model = ParametrisedArm(arm, start, free)
     if "damping" in free:
-        raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_pairs")
-    model = _Model(arm, start, free)
-    statics, slots = model.scene.statics(), model.slots
-    error = np.repeat([positive(position_error, "position_error"), positive(rotation_error, "rotation_error")], [3, 9])
-
-    def misses(x: Array) -> Array:
-        w = np.zeros((len(u), model.scene.n_inputs))
-        w[:, slots["moves"]] = u
-        w[:, slots[PARAMETERS]] = model.full(x)
-        solved = statics.solve_many(w)
-        shapes = model.scene.fields(np.nan_to_num(solved.states), stations)[..., :12]
-        missed = (shapes - measured[..., :12]) / error
-        missed[~solved.success] = LOST / position_error * arm.scene.rod.length
-        return missed.reshape(-1)
+        raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_recordings")
+    shapes = RestingShapes(model, inputs, fields, position_error, rotation_error, stations)
 
     def residual(x: Array) -> Array:
-        return np.concatenate([misses(x), model.prior(x)])
+        return np.concatenate([shapes.misses(x), model.prior(x)])
 
-    first = model.start[model.free]
     found = least_squares(
-        residual, first, jac=_central(residual), x_scale=model.spread[model.free], max_nfev=100, ftol=1e-6, xtol=1e-6
+        residual,
+        model.start[model.free],
+        jac=central_slope(residual),
+        x_scale=model.spread[model.free],
+        max_nfev=100,
+        ftol=1e-6,
+        xtol=1e-6,
     )
-    return model.result(found.x, float(np.sqrt(np.mean(misses(found.x) ** 2))), len(u), found.status > 0)
+    missed = shapes.misses(found.x)
+    return model.result(found.x, float(np.sqrt(np.mean(missed**2))), len(shapes.u), found.status > 0)
 
 
 def calibrate_from_pairs(
@@ -189,7 +156,7 @@ def calibrate_from_pairs(
     x0 = finite_array(before, "before", (None, 2 * n))
     x1 = finite_array(after, "after", (len(x0), 2 * n))
     u = finite_array(inputs, "inputs", (len(x0), 2, m))
-    model = _Model(arm, start, free)
+    model = ParametrisedArm(arm, start, free)
     simulator = model.scene.simulator(dt=dt, rtol=SIMULATION_RTOL)
     slots = model.slots
     spread = np.repeat([np.sqrt(np.mean((part - part.mean(axis=0)) ** 2)) for part in (x1[:, :n], x1[:, n:])], n)
@@ -217,102 +184,13 @@ def calibrate_from_pairs(
 
     scale = model.spread[model.free]
     found = least_squares(
-        residual, model.start[model.free], jac=_central(residual), x_scale=scale, max_nfev=evaluations
+        residual,
+        model.start[model.free],
+        jac=central_slope(residual),
+        x_scale=scale,
+        max_nfev=evaluations,
+        ftol=SIMULATED_DIGITS,
+        xtol=SIMULATED_DIGITS,
     )
     r = predicted(found.x)[0]
     return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(x0), found.status > 0)
-
-
-def _central(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Jacobian by central differences with absolute steps: logarithms start at zero."""
-
-    def slope(x: Array) -> Array:
-        steps = DIFFERENCE * np.eye(len(x))
-        return np.stack([(function(x + d) - function(x - d)) / (2.0 * DIFFERENCE) for d in steps], axis=1)
-
-    return slope
-
-
-def nominal_parameters(arm: TendonArm) -> TendonParameters:
-    """Parameters of the arm's own tendons: where its drawing has them, with the stiffness it says."""
-    tendons = _tendons(arm)
-    compliance = getattr(tendons.drive, "compliance", None)
-    if compliance is None or any(callable(o) for o in tendons.offsets):
-        raise ValueError("calibration takes parallel tendons with a displacement drive; give start for others")
-    m = len(tendons.offsets)
-    stiffness = 1.0 / (float(compliance) * arm.scene.rod.length)
-    return TendonParameters(
-        offset=np.array([np.asarray(o, float) for o in tendons.offsets]),
-        stiffness=np.full(m, stiffness),
-        slack=np.zeros(m),
-        rounding=1e-4,
-    )
-
-
-class _Model:
-    """The backbone with parametrised tendons, and which parameters are free."""
-
-    def __init__(self, arm: TendonArm, start: TendonParameters | None, free: Sequence[str]) -> None:
-        unknown = [name for name in free if name not in GROUPS]
-        if unknown or not free:
-            raise ValueError(f"free = {list(free)}; expected some of {', '.join(GROUPS)}")
-        first = nominal_parameters(arm) if start is None else start
-        self.arm, self.m = arm, first.n_tendons
-        if self.m != arm.scene.n_inputs:
-            raise ValueError(f"start has {self.m} tendons; the arm has {arm.scene.n_inputs} inputs")
-        self.name = _tendons(arm).name
-        self.radius = float(np.hypot(*first.offset.T).mean())
-        self.start = first.vector(self.radius)
-        m = self.m
-        parts = {"offset": 2 * m, "stiffness": m, "slack": m, "rounding": 1, "bending": 1, "damping": 1}
-        self.spread = np.concatenate([np.full(size, SPREAD[name]) for name, size in parts.items()])
-        groups = np.repeat(["tendons", "bending", "damping"], [4 * m + 1, 1, 1])
-        self.free = np.flatnonzero(np.isin(groups, list(free)))
-        self.scene = self._scene(None)
-        self.slots = {"moves": np.arange(m), PARAMETERS: np.arange(m, m + len(self.start))}
-
-    def starts(self) -> list[Array]:
-        """First guesses: tendons that are slack push nothing and leave a fit in the lurch, so several are tried."""
-        found = []
-        m = self.m
-        for stiffness in (0.0, -2.0, 2.0):
-            for slack in (0.0, 1.0):
-                values = self.start.copy()
-                values[2 * m : 3 * m] += stiffness
-                values[3 * m : 4 * m] += slack
-                found.append(values[self.free])
-        return found
-
-    def full(self, x: Array) -> Array:
-        """All parameters, from the free ones."""
-        values = self.start.copy()
-        values[self.free] = x
-        return values
-
-    def prior(self, x: Array) -> Array:
-        """Distance from the first guess in standard deviations."""
-        return (x - self.start[self.free]) / self.spread[self.free]
-
-    @property
-    def prior_slope(self) -> Array:
-        """d prior / dx."""
-        return np.diag(1.0 / self.spread[self.free])
-
-    def result(self, x: Array, residual: float, samples: int, success: bool) -> Calibration:
-        """The identified arm."""
-        values = self.full(x)
-        scene = self._scene(tuple(values.tolist()))
-        arm = TendonArm(scene, self.arm.pretension, self.arm.amplitude)
-        return Calibration(arm, TendonParameters.of_vector(values, self.radius), residual, samples, success)
-
-    def _scene(self, values: tuple[float, ...] | None) -> Scene:
-        backbone = self.arm.scene.without(Tendons)
-        damping = [t for t in backbone.terms if isinstance(t, KelvinVoigt)]
-        total = KelvinVoigt(
-            *(sum(getattr(t, name) for t in damping) for name in ("bending", "torsion", "shear", "stretch"))
-        )
-        return backbone + CalibratedTendons(self.m, self.radius, values, total, self.name)
-
-
-def _tendons(arm: TendonArm) -> Tendons:
-    return next(t for t in arm.scene.terms if isinstance(t, Tendons))

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.checks import Array, count, finite_array, one_of, positive
+from pisplit.checks import Array, count, finite_array, non_negative, one_of, positive
 from pisplit.models import rod
 from pisplit.models.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.fields import UNITS, Fields
@@ -69,6 +69,19 @@ def random_differential(arm: TendonArm, n: int, rng: np.random.Generator) -> Arr
     return moves
 
 
+def play(commands: Array, width: float, start: Array) -> Array:
+    """What a transmission with backlash makes of displacements (N, m): it follows when the play ``width`` is used up.
+
+    y_k = min(max(y_{k-1}, u_k - width / 2), u_k + width / 2) from y = ``start`` (m,); rate-independent hysteresis.
+    Source: Visintin, *Differential Models of Hysteresis*, Springer 1994, ch. III.
+    """
+    moved, last = np.empty_like(commands), start
+    for k, command in enumerate(commands):
+        last = np.clip(last, command - 0.5 * width, command + 0.5 * width)
+        moved[k] = last
+    return moved
+
+
 @dataclass(frozen=True)
 class EpisodeTask:
     """One episode from rest: the work of one block of D1. Draws whose simulation fails are recorded and replaced."""
@@ -81,6 +94,7 @@ class EpisodeTask:
     seed: int
     law: str = "zero-sum"
     compiled: bool = False
+    backlash: float = 0.0
 
     def __call__(self, k: int) -> Block:
         """Episode ``k``: states, inputs, fields."""
@@ -90,7 +104,8 @@ class EpisodeTask:
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, k, attempt)))
             commands = random_displacements(self.arm, self.steps, rng, self.law)
             simulator.reset(self.arm.rest_inputs)
-            trajectory = simulator.run(commands, simulator.state)
+            moves = play(commands, self.backlash, self.arm.rest_inputs) if self.backlash else commands
+            trajectory = simulator.run(moves, simulator.state)
             if trajectory.success:
                 fields = trajectory.fields(self.stations).reshape(self.steps + 1, -1)
                 return {"x": fields, "u": commands, "state": trajectory.x, "failures": np.array(failures, dtype=str)}
@@ -111,16 +126,19 @@ def make_episodes(
     progress: bool = True,
     law: str = "zero-sum",
     compiled: bool = False,
+    backlash: float = 0.0,
 ) -> Episodes:
     """Simulate ``episodes`` trajectories of the arm, store them at ``path`` (HDF5) and return them.
 
     States are the 24 fields at every station (names, quantities, units in the file); ``extra["state"]`` holds the
     states [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
     ``compiled`` turns the scene into machine code first: ten seconds once, then several times faster, same numbers.
+    ``backlash`` in m is a play between commands, which are recorded, and tendons (:func:`play`).
     """
     count(episodes, "episodes")
-    identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law)
+    identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law, backlash)
     task = EpisodeTask(arm, *(identity[name] for name in ("steps", "dt", "rtol", "stations", "seed", "law")))
+    task = replace(task, backlash=identity["backlash"])
     if compiled:
         task = replace(task, compiled=True)
         _simulator(arm, task.dt, task.rtol, task.stations, True)  # compiled once, not by every worker
@@ -150,6 +168,7 @@ def episodes_origin(
     stations: int = 6,
     seed: int = 0,
     law: str = "zero-sum",
+    backlash: float = 0.0,
 ) -> dict[str, Any]:
     """All that decides the episodes of ``make_episodes`` but their number; part of their provenance."""
     return {
@@ -158,6 +177,7 @@ def episodes_origin(
         "steps_per_target": STEPS_PER_TARGET,
         "dt": positive(dt, "dt", "s"),
         "rtol": positive(rtol, "rtol"),
+        "backlash": non_negative(backlash, "backlash"),
     }
 
 
@@ -172,7 +192,7 @@ def check_origin(
     path: str | os.PathLike[str], provenance: Mapping[str, Any] | None, expected: Mapping[str, Any]
 ) -> None:
     """Raise ValueError if the data in ``path`` were made for another arm or with other settings."""
-    given = {"law": LAWS[0], **(provenance or {})}
+    given = {"law": LAWS[0], "backlash": 0.0, **(provenance or {})}
     for name, value in expected.items():
         if given.get(name) != value:
             found = f"with {name} = {given.get(name)!r}, not {value!r}"

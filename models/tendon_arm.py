@@ -9,6 +9,7 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models import rod
 from pisplit.models.calibrated import CalibratedTendons
+from pisplit.models.rod.routing import sample
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,10 @@ class TendonArm:
 
     @property
     def tendon_angles(self) -> Array:
-        """Angle (m,) of each tendon about the backbone in rad."""
+        """Angle (m,) of each tendon about the backbone at its base in rad."""
         tendons = next(t for t in self.scene.terms if isinstance(t, rod.Tendons | CalibratedTendons))
-        return np.arctan2(*np.asarray(tendons.offsets).T[::-1])
+        base = [sample(route, np.zeros(1), self.scene.rod.length)[0][:2, 0] for route in tendons.offsets]
+        return np.arctan2(*np.asarray(base).T[::-1])
 
     @property
     def differential_basis(self) -> Array:

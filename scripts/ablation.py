@@ -17,14 +17,11 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from ablation_figures import Table, draw_noise, draw_sizes
 from arm_methods import methods
-from arm_scenarios import PHASE_SAMPLES, ScenarioSource, scenarios
-from paper_protocol import HELD_OUT, HISTORY, Summary, summary
+from arm_scenarios import NOISE_CURVE, PHASE_SAMPLES, ScenarioSource, scenarios
+from paper_protocol import HELD_OUT, HISTORY, summary
 from paper_runs import Cell, Result, run_cells, write_text
 from report import Report, parser, run
 
@@ -38,6 +35,8 @@ OURS = "PI twin"
 OTHERS = (*BASELINES, "PI hold", OURS)
 #: Pairs (steps) of the rows that are run at one size.
 ONE_SIZE = 64
+#: Pairs of the curve over the level of noise.
+NOISE_PAIRS = 128
 #: Draws of the row whose every fit simulates its pairs some hundred times.
 SLOW_DRAWS = 2
 #: Splits that need the table of equilibria over differential pulls.
@@ -46,27 +45,30 @@ TABLED = (*INFORMED, "PI Strang", "PI balanced", "PI hold")
 
 @dataclass(frozen=True)
 class Plan:
-    """Episodes, draws of every size for the main scenario and for the others; 0 stands for all pairs."""
+    """Episodes, draws of every size for the main scenario, for the others and for further levels of noise; 0 stands for
+    all pairs."""
 
     training: int
     test: int
     sizes: Mapping[int, int]
     other_sizes: Mapping[int, int]
+    noise_sizes: Mapping[int, int]
 
 
-FULL = Plan(120, 20, {8: 5, 16: 5, 64: 5, 128: 5, 512: 3, 0: 1}, {16: 5, 128: 5, 0: 1})
-QUICK = Plan(12, 4, {16: 1, 128: 1}, {16: 1})
+FULL = Plan(120, 20, {8: 5, 16: 5, 64: 5, 128: 5, 512: 3, 0: 1}, {16: 5, 128: 5, 0: 1}, {128: 3})
+QUICK = Plan(12, 4, {16: 1, 128: 1}, {16: 1}, {128: 1})
 
 
 def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
     """Cells of one scenario."""
     main = name == MAIN
+    sizes = plan.sizes if main else plan.noise_sizes if name in NOISE_CURVE else plan.other_sizes
     every = (plan.training - HELD_OUT) * (steps - HISTORY)
     wanted = list(methods(Path(), 0)) if main else list(OTHERS)
     for method in wanted:
         if method in TABLED and name == "independent pulls":
             continue
-        for size, draws in (plan.sizes if main else plan.other_sizes).items():
+        for size, draws in sizes.items():
             if method.endswith(("one recording", "from pairs")) and size != ONE_SIZE:
                 continue
             if method.endswith("no pairs"):
@@ -75,9 +77,6 @@ def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
                 draws = min(draws, SLOW_DRAWS)
             for seed in range(draws):
                 yield Cell(name, method, size or every, PHASE_SAMPLES, seed)
-
-
-Table = dict[tuple[str, str, int], Summary]
 
 
 def tabulate(results: Mapping[Cell, Result], what: str) -> Table:
@@ -150,46 +149,6 @@ def _record(report: Report, name: str, value: float | None, kind: str, bound: fl
         report.figure(name, value, "times" if "divergent" not in name else "of all", (kind, bound))
 
 
-def draw(table: Table, path: Path, what: str) -> None:
-    """One panel a scenario: medians with quartiles over the number of pairs."""
-    names = list(dict.fromkeys(law for law, _, _ in table))
-    columns = min(3, len(names))
-    rows = -(-len(names) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(6.2 * columns, 4.6 * rows), squeeze=False, constrained_layout=True
-    )
-    labels = list(dict.fromkeys(method for _, method, _ in table))
-    colours = {label: plt.get_cmap("tab20")(i % 20) for i, label in enumerate(labels)}
-    finite = [s.median for s in table.values() if np.isfinite(s.median)]
-    top = 3.0 * max(finite)
-    for axis, name in zip(axes.ravel(), names, strict=False):
-        for label in labels:
-            points = sorted((size, s) for (law, method, size), s in table.items() if (law, method) == (name, label))
-            if not points:
-                continue
-            x = np.array([size for size, _ in points])
-            median, lower, upper = (
-                np.minimum([getattr(s, part) for _, s in points], top) for part in ("median", "lower", "upper")
-            )
-            width = 2.4 if label == OURS else 1.3
-            axis.plot(x, median, "o-", color=colours[label], lw=width, ms=4, label=label)
-            axis.fill_between(x, lower, upper, color=colours[label], alpha=0.12, lw=0)
-            gone = np.array([not np.isfinite(s.median) for _, s in points])
-            axis.plot(x[gone], median[gone], "X", color=colours[label], ms=9)
-        axis.set(xscale="log", yscale="log", title=name, xlabel="recorded pairs", ylim=(None, 1.3 * top))
-        axis.set_ylabel(
-            "squared shape error (m$^2$)" if what == "shape" else "squared tip velocity error (m$^2$/s$^2$)"
-        )
-        axis.grid(alpha=0.25, which="both")
-    for axis in axes.ravel()[len(names) :]:
-        axis.axis("off")
-    axes[0, 0].legend(fontsize=7, loc="lower left", ncols=2)
-    figure.suptitle("Open-loop roll-outs of 6 s: medians and quartiles; crosses at the top edge diverge")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-
-
 def as_csv(tables: Mapping[str, Table]) -> str:
     """All summaries, one line each."""
     out = io.StringIO()
@@ -235,7 +194,10 @@ def main() -> None:
     if report.figures:
         print(report)
     for what, table in tables.items():
-        draw(table, arguments.out / f"ablation_{what}.png", what)
+        draw_sizes(table, arguments.out / f"ablation_{what}.png", what)
+    levels = {MAIN: 0.0, "noise": 1.0, **NOISE_CURVE}
+    if len({law for law, _, _ in tables["shape"]} & set(levels)) > 1:
+        draw_noise(tables, levels, NOISE_PAIRS, arguments.out / "ablation_noise.png")
     write_text(arguments.out / "ablation.csv", as_csv(tables))
     report.write(arguments.json)
 

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from arm_scenarios import NOISE, STATIONS, STEPS, Scenario, coordinates, equilibria, scenarios
 from paper_data import DT
-from paper_protocol import HELD_OUT, Draw, Lifted, Method, Prediction, Predictor, contiguous
+from paper_protocol import HELD_OUT, HISTORY, Draw, Lifted, Method, Prediction, Predictor, contiguous
 
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc, TwinEDMDc
 from pisplit import observables as ob
+from pisplit.checks import Array
 from pisplit.models.arm_physics import ArmPhysics
+from pisplit.models.calibrated import TendonParameters
 from pisplit.models.calibration import (
     Calibration,
     calibrate_from_equilibria,
@@ -27,6 +29,7 @@ from pisplit.models.calibration import (
 )
 from pisplit.models.equilibrium import EquilibriumTable, equilibrium_table
 from pisplit.models.generation import EQUATIONS, make_episodes
+from pisplit.models.recordings import calibrate_from_recordings
 
 #: Half width in m of the table of equilibria, in usual displacements.
 TABLE_WIDTH = 2.2
@@ -34,8 +37,11 @@ TABLE_WIDTH = 2.2
 SLACK_WIDTH = 1e-4
 #: Episodes that a twin is rolled out for, and their seed.
 TWIN_EPISODES, TWIN_SEED = 96, 1_000_003
-#: Pairs that damping is identified from, and the step of its logarithm: equal factors share a twin.
-DAMPING_PAIRS, DAMPING_STEP = 24, 0.05
+#: Pairs that damping, or all of the arm, is identified from, and the step of the logarithm of damping: equal factors
+#: share a twin.
+DAMPING_PAIRS, DAMPING_STEP = 24, 0.02
+#: Residual of the balance of forces in measured equilibria, in parts of EI/L, below which it is the way to tendons.
+BALANCED = 1e-3
 #: Pairs that tendons are identified from when no equilibria are known.
 TENDON_PAIRS = 16
 #: Numbers of principal components whose products are columns and of radial functions of the inputs (with slack
@@ -43,17 +49,21 @@ TENDON_PAIRS = 16
 #: plain fields, which are the safer choice where the twin is wrong.
 RICH, PLAIN = ((4, 0, 1e-6), (6, 0, 1e-6), (12, 0, 3e-5), (12, 0, 1e-4), (4, 100, 1e-5)), (0, 0, 1e-5)
 TWIN_HELD_OUT = 6
+#: Centres of radial functions are chosen from every seventh input, and there are some for each of them.
+THINNED, ROWS_PER_CENTRE = 7, 4
 #: Weights of the twin to choose from.
 TWIN_WEIGHTS = tuple(np.logspace(-6, 4, 6).tolist())
+#: Where held-out roll-outs hardly tell weights apart, as noisy ones do, the twin gets the larger one.
+CV_TOLERANCE = 0.05
 #: Strains v of a backbone without shear and stretch are axial forces in the seventh digit: they predict nothing.
 OMIT = ("v",)
 #: Methods that need the table of equilibria over differential pulls.
 TABLED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq", "PI Strang", "PI balanced", "PI hold")
 
 
-def methods(folder: Path, seed: int) -> dict[str, Method]:
-    """All methods by name; twins are kept in ``folder``."""
-    twin = TwinMethod(folder, seed)
+def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str, Method]:
+    """All methods by name; twins of so many episodes are kept in ``folder``."""
+    twin = TwinMethod(folder, seed, episodes, episodes)
     found: dict[str, Callable[[Draw], Predictor]] = {
         "L-EDMDc": Tuned(LinearEDMDc, linear_dictionaries),
         "B-EDMDc": Tuned(BilinearEDMDc, bilinear_dictionaries),
@@ -185,49 +195,59 @@ class TwinMethod:
 
     use_pairs        without them the twin has the damping it was told of, and the model is EDMDc on the twin
     use_equilibria   without them tendons are identified from pairs
-    episodes         of the twin
+    simulated        episodes of the twin, and how many of them are used
     """
 
     folder: Path
     seed: int
+    simulated: int = TWIN_EPISODES
+    episodes: int = TWIN_EPISODES
     use_pairs: bool = True
     use_equilibria: bool = True
-    episodes: int = TWIN_EPISODES
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs of a draw."""
         scenario, small = scenarios()[draw.law], compact(draw)
-        calibration = from_equilibria(draw.law, self.seed) if self.use_equilibria else None
-        if self.use_pairs:
-            calibration = self._with_pairs(scenario, small, calibration)
-        assert calibration is not None
+        calibration = self._calibrated(scenario, small)
         twin, dictionaries = _twin_of(self._simulated(calibration, scenario), self.episodes)
         fits = []
         for theta, ridge in dictionaries:
             if self.use_pairs:
-                fit = TwinEDMDc(theta, "cv", ridge, omit=OMIT, alphas=TWIN_WEIGHTS, cv_states="shape")
+                fit = TwinEDMDc(
+                    theta, "cv", ridge, omit=OMIT, alphas=TWIN_WEIGHTS, cv_states="shape", cv_tolerance=CV_TOLERANCE
+                )
                 fits.append(_quietly(fit.fit, small.episodes, twin, small.pairs(theta.n_delays)))
             else:
                 fits.append(twin_alone(theta, ridge, twin))
         return Lifted((_best(fits) if self.use_pairs else fits[-1]).lifted)
 
-    def _with_pairs(self, scenario: Scenario, draw: Draw, first: Calibration | None) -> Calibration:
-        """Damping from pairs after tendons from equilibria, or all of it from pairs."""
-        count = DAMPING_PAIRS if first else TENDON_PAIRS
-        pairs = draw.pairs(1).take(np.arange(min(count, len(draw))))
-        before, after = (coordinates(scenario.known, x) for x in (pairs.x, pairs.x_next))
-        inputs = np.stack([pairs.u_history[:, -1], pairs.u], axis=1)
-        start = first.parameters if first else scenario.first_guess
-        groups = ("damping",) if first else ("tendons", "bending", "damping")
-        found = calibrate_from_pairs(scenario.known, before, after, inputs, DT, groups, start)
-        if first is None:
-            return found
-        steps = np.round(np.log(found.parameters.damping) / DAMPING_STEP)
-        return first.with_damping(float(np.exp(DAMPING_STEP * steps)))
+    def _calibrated(self, scenario: Scenario, draw: Draw) -> Calibration:
+        """The arm by what is known of it.
+
+        Where measured equilibria balance, forces are exact: tendons from them, damping from one-step predictions. Where
+        they do not, for noise or a wrong form of the model, everything from what the arm looks like.
+        """
+        if not self.use_equilibria:
+            return from_pairs(scenario, draw, TENDON_PAIRS, ("tendons", "bending", "damping"), scenario.first_guess)
+        resting = from_equilibria(scenario.name, self.seed)
+        if resting.residual <= BALANCED:
+            if not self.use_pairs:
+                return resting
+            found = from_pairs(scenario, draw, DAMPING_PAIRS, ("damping",), resting.parameters)
+            steps = np.round(np.log(found.parameters.damping) / DAMPING_STEP)
+            return resting.with_damping(float(np.exp(DAMPING_STEP * steps)))
+        if not self.use_pairs:
+            return calibrate_from_shapes(
+                scenario.known,
+                *equilibria(scenario.name, self.seed),
+                *_errors(scenario)[:2],
+                start=scenario.first_guess,
+            )
+        return from_recordings(scenario, draw, self.seed)
 
     def _simulated(self, calibration: Calibration, scenario: Scenario) -> Path:
         """File of the twin's episodes."""
-        made_of = (calibration.arm.scene.terms, scenario.law, EQUATIONS)
+        made_of = (calibration.arm.scene.terms, scenario.law, EQUATIONS, self.simulated)
         digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:16]
         path = self.folder / f"{digest}.h5"
         if not path.exists():
@@ -235,7 +255,7 @@ class TwinMethod:
             make_episodes(
                 calibration.arm,
                 part,
-                TWIN_EPISODES,
+                self.simulated,
                 STEPS,
                 DT,
                 seed=TWIN_SEED,
@@ -248,6 +268,51 @@ class TwinMethod:
         return path
 
 
+def from_pairs(scenario: Scenario, draw: Draw, count: int, free: Sequence[str], start: TendonParameters) -> Calibration:
+    """Identification from the first pairs of a draw."""
+    pairs = draw.pairs(1).take(np.arange(min(count, len(draw))))
+    before, after = (coordinates(scenario.known, x) for x in (pairs.x, pairs.x_next))
+    inputs = np.stack([pairs.u_history[:, -1], pairs.u], axis=1)
+    return calibrate_from_pairs(scenario.known, before, after, inputs, DT, free, start)
+
+
+def from_recordings(scenario: Scenario, draw: Draw, seed: int) -> Calibration:
+    """Identification of everything from the first pairs of a draw with their history, and from equilibria."""
+    fields, moves = recordings(draw, scenario, min(DAMPING_PAIRS, len(draw)))
+    key = (scenario.name, seed, hashlib.sha256(fields.tobytes()).hexdigest())
+    if key not in _RECORDED:  # larger draws of a seed begin with the same pairs
+        _RECORDED[key] = calibrate_from_recordings(
+            scenario.known,
+            fields,
+            moves,
+            DT,
+            *_errors(scenario),
+            free=("tendons", "bending", "damping"),
+            start=scenario.first_guess,
+            equilibria=equilibria(scenario.name, seed),
+        )
+    return _RECORDED[key]
+
+
+_RECORDED: dict[tuple[str, int, str], Calibration] = {}
+
+
+def recordings(draw: Draw, scenario: Scenario, count: int) -> tuple[Array, Array]:
+    """Fields (N, 6, 144) of the first pairs of a draw with their four steps of history, and displacements (N, 6, m)."""
+    fields, moves = [], []
+    for episode, k in draw.rows[:count]:
+        x = draw.episodes.xs[episode]
+        servo = np.vstack([scenario.known.rest_inputs, draw.episodes.us[episode]])  # where it is at every instant
+        fields.append(x[k - HISTORY : k + 2])
+        moves.append(servo[k - HISTORY : k + 2])
+    return np.stack(fields), np.stack(moves)
+
+
+def _errors(scenario: Scenario) -> list[float]:
+    """Standard deviations of positions, frames and rates that a calibration takes; without noise those of the noise."""
+    return [(scenario.noise or 1.0) * NOISE[name] for name in ("p", "R", "rates")]
+
+
 @lru_cache(maxsize=8)
 def _twin_of(path: Path, episodes: int) -> tuple[Episodes, list[tuple[Dictionary, float]]]:
     """The first episodes of a twin and the dictionaries that suit them."""
@@ -257,9 +322,12 @@ def _twin_of(path: Path, episodes: int) -> tuple[Episodes, list[tuple[Dictionary
 
 def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
     """The plain dictionary and the rich one that rolls out held-out episodes of the twin best, with their ridges."""
-    training, held = twin[:-TWIN_HELD_OUT], twin[-TWIN_HELD_OUT:]
+    out = max(1, min(TWIN_HELD_OUT, len(twin) // 4))
+    training, held = twin[:-out], twin[-out:]
     errors = {}
     for number, centres, ridge in RICH:
+        if ROWS_PER_CENTRE * centres > len(training.stacked_inputs()[::THINNED]):
+            continue
         fit = _quietly(twin_alone, twin_dictionary(training, number, centres), ridge, training)
         errors[number, centres, ridge] = fit.score(held, "shape").median
     best = min(errors, key=lambda key: np.nan_to_num(errors[key], nan=np.inf))
@@ -270,7 +338,7 @@ def twin_dictionary(twin: Episodes, number: int, centres: int) -> Dictionary:
     """Bilinear dictionary of the fields, with products of principal components and functions of the inputs."""
     inputs: list[Any] = []
     if centres:
-        inputs = [ob.Slack(SLACK_WIDTH), ob.Radial.from_data(twin.stacked_inputs()[::7], centres, of="inputs")]
+        inputs = [ob.Slack(SLACK_WIDTH), ob.Radial.from_data(twin.stacked_inputs()[::THINNED], centres, of="inputs")]
     components = [ob.Principal.of(twin.stacked_states(), number, twin.quantities, OMIT)] if number else []
     return Dictionary(
         ob.Constant(),
@@ -296,9 +364,6 @@ def from_equilibria(name: str, seed: int) -> Calibration:
     """Tendons and bending stiffness of a scenario's arm from its equilibria."""
     scenario = scenarios()[name]
     u, fields = equilibria(name, seed)
-    if scenario.noise:
-        errors = (scenario.noise * NOISE["p"], scenario.noise * NOISE["R"])
-        return calibrate_from_shapes(scenario.known, u, fields, *errors, start=scenario.first_guess)
     rest = coordinates(scenario.known, fields)
     return calibrate_from_equilibria(scenario.known, u, rest, start=scenario.first_guess)
 

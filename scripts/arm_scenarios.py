@@ -33,6 +33,8 @@ PHASE_SAMPLES = 2000
 EQUILIBRIA, EQUILIBRIA_SEED = 16, 4711
 #: Noise: positions in m, rotations in rad, velocities and curvatures as parts of their deviation.
 NOISE = {"p": 1e-3, "R": np.deg2rad(1.0), "rates": 0.05}
+#: Further levels of noise, as factors of it.
+NOISE_CURVE = {"noise, a quarter": 0.25, "noise, half": 0.5, "noise, twice": 2.0, "noise, four times": 4.0}
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Scenario:
     known   the arm that methods are told of: its backbone is f; its tendons are where a drawing has them
     law     input law
     noise   factor of ``NOISE`` on training states and equilibria
+    backlash   play in m between commands and tendons: hysteresis
+    data    name of the scenario whose recordings these are, before noise: its own, or one of the same arm
     """
 
     name: str
@@ -50,6 +54,8 @@ class Scenario:
     known: TendonArm
     law: str = "zero-sum"
     noise: float = 0.0
+    backlash: float = 0.0
+    data: str = ""
 
     @property
     def first_guess(self) -> TendonParameters:
@@ -82,7 +88,8 @@ class ScenarioSource:
         return PaperData(scenario.law, noisy(training, scenario.noise, self.seed), test, d2)
 
     def _samples(self, training: Episodes) -> PhaseSamples:
-        scenario, path = self.scenario, self.folder / f"d2-{self._stem}-{PHASE_SAMPLES}.h5"
+        scenario = self.scenario
+        path = self.folder / f"d2-{scenario.name.replace(' ', '-')}-seed{self.seed}-{PHASE_SAMPLES}.h5"
         deviations, rates = deviations_from_equilibrium(scenario.arm, training)
         if path.exists():
             found = PhaseSamples.load(path)
@@ -101,16 +108,15 @@ class ScenarioSource:
             known=scenario.known.passive,
         )
 
-    @property
-    def _stem(self) -> str:
-        scenario = self.scenario
-        return f"{scenario.name.replace(' ', '-')}-seed{self.seed}"
-
     def _episodes(self, total: int) -> Episodes:
-        scenario, path = self.scenario, self.folder / f"d1-{self._stem}-{total}x{STEPS}.h5"
+        scenario = self.scenario
+        name = (scenario.data or scenario.name).replace(" ", "-")
+        path = self.folder / f"d1-{name}-seed{self.seed}-{total}x{STEPS}.h5"
         if path.exists():
             found = Episodes.load(path)
-            origin = episodes_origin(scenario.arm, STEPS, DT, seed=self.seed, law=scenario.law)
+            origin = episodes_origin(
+                scenario.arm, STEPS, DT, seed=self.seed, law=scenario.law, backlash=scenario.backlash
+            )
             check_origin(path, found.provenance, origin)
             return found
         return make_episodes(
@@ -124,22 +130,27 @@ class ScenarioSource:
             progress=self.progress,
             law=scenario.law,
             compiled=True,
+            backlash=scenario.backlash,
         )
 
 
 def scenarios() -> dict[str, Scenario]:
     """All scenarios by name."""
     paper, soft = TendonArm.paper(), TendonArm.prototype()
+    same = "paper arm"
     found = [
-        Scenario("paper arm", paper, paper),
+        Scenario(same, paper, paper),
         Scenario("independent pulls", paper, paper, law="independent"),
         Scenario("prototype arm", soft, soft),
-        Scenario("noise", paper, paper, noise=1.0),
-        Scenario("E 20 % too high", paper, _wrong(paper, young=1.2)),
-        Scenario("E 20 % too low", paper, _wrong(paper, young=0.8)),
-        Scenario("damping twice", paper, _wrong(paper, damping=2.0)),
-        Scenario("damping half", paper, _wrong(paper, damping=0.5)),
+        Scenario("noise", paper, paper, noise=1.0, data=same),
+        *(Scenario(name, paper, paper, noise=factor, data=same) for name, factor in NOISE_CURVE.items()),
+        Scenario("E 20 % too high", paper, _wrong(paper, young=1.2), data=same),
+        Scenario("E 20 % too low", paper, _wrong(paper, young=0.8), data=same),
+        Scenario("damping twice", paper, _wrong(paper, damping=2.0), data=same),
+        Scenario("damping half", paper, _wrong(paper, damping=0.5), data=same),
         Scenario("capstan friction", _with_friction(paper, 0.2), paper),
+        Scenario("backlash", paper, paper, backlash=5e-4),
+        Scenario("routing error", _with_twist(paper, 20.0), paper),
         Scenario("tip load", _with_tip_load(paper, 0.01), paper),
     ]
     return {scenario.name: scenario for scenario in found}
@@ -173,7 +184,8 @@ def equilibria(name: str, seed: int) -> tuple[Array, Array]:
     scenario = scenarios()[name]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EQUILIBRIA_SEED,)))
     u = random_targets(scenario.arm, EQUILIBRIA, rng, scenario.law)
-    solved = scenario.arm.scene.statics().solve_many(u)
+    late = 0.5 * scenario.backlash * rng.uniform(-1.0, 1.0, size=u.shape)  # the play is used up in part
+    solved = scenario.arm.scene.statics().solve_many(u + late)
     u, states = u[solved.success], solved.states[solved.success]
     fields = scenario.arm.scene.fields(states, STATIONS).reshape(len(u), -1)
     found = scenario.arm.scene.field_map(STATIONS)
@@ -206,6 +218,22 @@ def _with_friction(arm: TendonArm, mu: float) -> TendonArm:
     """The arm with capstan friction in its tendons."""
     terms = [replace(t, friction=mu) if isinstance(t, rod.Tendons) else t for t in arm.scene.terms]
     return replace(arm, scene=rod.Scene(arm.scene.rod, *terms, nodes=arm.scene.nodes))
+
+
+def _with_twist(arm: TendonArm, degrees: float) -> TendonArm:
+    """The arm with tendons that turn about the backbone by so much over its length."""
+    rod_of = arm.scene.rod
+    term = next(t for t in arm.scene.terms if isinstance(t, rod.Tendons))
+    x, y = np.array(term.offsets, dtype=float).T
+    turned = rod.Tendons.helical(
+        offset=float(np.hypot(x, y).mean()),
+        pitch=rod_of.length * 360.0 / degrees,
+        angles_deg=np.rad2deg(np.arctan2(y, x)).tolist(),
+        drive=term.drive,
+        name=term.name,
+    )
+    terms = [turned if t is term else t for t in arm.scene.terms]
+    return replace(arm, scene=rod.Scene(rod_of, *terms, nodes=arm.scene.nodes))
 
 
 def _with_tip_load(arm: TendonArm, mass: float) -> TendonArm:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import threading
 import time
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -109,12 +111,29 @@ def run_cells(
     chains = [Chain(sources[law], by_name[name], tuple(group), folder) for (law, name, _), group in groups.items()]
     chains.sort(key=lambda chain: -sum(cell.n1 for cell in chain.cells))  # long ones first
     todo = [c for c in chains if not all(zipfile.is_zipfile(cell.path(folder)) for cell in c.cells)]
-    done = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")(joblib.delayed(c)() for c in todo)
-    total = sum(len(c.cells) for c in todo)
-    with tqdm(total=total, desc=folder.name, disable=not progress, unit="fit") as bar:
-        for count in done:
-            bar.update(count)
+    paths = [cell.path(folder) for chain in todo for cell in chain.cells]
+    with tqdm(total=len(paths), desc=folder.name, disable=not progress, unit="fit") as bar, _counting(paths, bar):
+        joblib.Parallel(n_jobs=workers)(joblib.delayed(chain)() for chain in todo)
     return {cell: read(cell.path(folder)) for cell in cells}
+
+
+@contextmanager
+def _counting(paths: Sequence[Path], bar: tqdm[Any]) -> Iterator[None]:
+    """Move the bar by the files that are there: a chain of fits is over after minutes, its fits after seconds."""
+    over = threading.Event()
+
+    def count() -> None:
+        while not over.wait(1.0):
+            bar.update(sum(path.exists() for path in paths) - bar.n)
+
+    counter = threading.Thread(target=count, daemon=True)
+    counter.start()
+    try:
+        yield
+    finally:
+        over.set()
+        counter.join()
+        bar.update(sum(path.exists() for path in paths) - bar.n)
 
 
 def curve_cells(laws: Sequence[str], methods: Sequence[str], sizes: Mapping[int, int], n2: int) -> Iterator[Cell]:

@@ -69,6 +69,46 @@ def test_wrong_physics_is_wrong_in_what_is_told_not_in_what_moves() -> None:
     np.testing.assert_allclose(np.hypot(*guess.offset.T), 1.15 * 15.06e-3)
 
 
+def test_hysteresis_and_routing_are_in_the_arm_that_moves_alone() -> None:
+    scenarios = module("arm_scenarios")
+    found = scenarios.scenarios()
+    paper = TendonArm.paper()
+    twisted = found["routing error"]
+    assert twisted.known.scene == paper.scene
+    np.testing.assert_allclose(twisted.arm.tendon_angles, paper.tendon_angles, atol=1e-12)
+    term = next(t for t in twisted.arm.scene.terms if hasattr(t, "offsets"))
+    tip, base = (np.array(term.offsets[0](s)) for s in (paper.scene.rod.length, 0.0))
+    assert np.rad2deg(np.arctan2(*tip[::-1]) - np.arctan2(*base[::-1])) == pytest.approx(20.0)
+    assert found["backlash"].arm.scene == paper.scene
+    late, _ = scenarios.equilibria("backlash", 0)
+    told, _ = scenarios.equilibria("paper arm", 0)
+    np.testing.assert_array_equal(late, told)  # what is commanded; where the tendons are nobody knows
+
+
+def test_recordings_hold_the_pair_its_history_and_where_the_servo_was(arm_episodes: Episodes) -> None:
+    protocol, methods, scenarios = module("paper_protocol"), module("arm_methods"), module("arm_scenarios")
+    rng = np.random.default_rng(1)
+    episodes = Episodes(arm_episodes.xs, [rng.standard_normal((399, 3)) for _ in range(7)], 0.03)
+    draw = protocol.Draw("paper arm", episodes, np.array([[1, 4], [2, 30]]), None, 0)
+    scenario = scenarios.scenarios()["paper arm"]
+    fields, moves = methods.recordings(draw, scenario, 2)
+    np.testing.assert_array_equal(fields[1], episodes.xs[2][26:32])
+    np.testing.assert_array_equal(moves[1], episodes.us[2][25:31])
+    np.testing.assert_array_equal(moves[0], np.vstack([scenario.known.rest_inputs, episodes.us[1][:5]]))
+
+
+def test_curve_over_noise_is_drawn(tmp_path: Path) -> None:
+    figures, protocol = module("ablation_figures"), module("paper_protocol")
+    levels = {"paper arm": 0.0, "noise": 1.0, "noise, twice": 2.0}
+    table = {
+        (name, method, 128): protocol.Summary(1e-4 * (1 + f), 1e-5, 1e-3, 0.0)
+        for name, f in levels.items()
+        for method in ("L-EDMDc", "PI twin")
+    }
+    figures.draw_noise({"shape": table, "velocity": table}, levels, 128, tmp_path / "noise.png")
+    assert (tmp_path / "noise.png").stat().st_size > 10_000
+
+
 def test_a_compact_draw_holds_the_same_pairs_and_held_out_episodes(arm_episodes: Episodes) -> None:
     protocol, methods = module("paper_protocol"), module("arm_methods")
     rows = np.array([[2, 7], [0, 30], [2, 5]])

@@ -1,0 +1,220 @@
+"""Identify an arm from short noisy recordings: output error with unknown initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, finite_array, positive
+from pisplit.models.calibrated import PARAMETERS, TendonParameters
+from pisplit.models.calibration_model import Calibration, ParametrisedArm
+from pisplit.models.resting_shapes import RestingShapes
+from pisplit.models.rod import Scene
+from pisplit.models.rod.fields import N_FIELDS
+from pisplit.models.tendon_arm import TendonArm
+
+#: Internal steps of the integrator in s: its error stays far below that of measurements.
+STEP = 0.01
+#: Gauss-Newton ends when no free parameter, of order one, changes by more; and after so many steps.
+CONVERGED, STEPS = 5e-3, 20
+#: Largest change of a parameter in one step.
+TRUSTED = 0.7
+#: Quantities that count, station by station; axial strains of a stiff backbone cannot be measured.
+MEASURED = ("p", "R", "w", "q", "omega")
+
+
+def calibrate_from_recordings(
+    arm: TendonArm,
+    fields: ArrayLike,
+    inputs: ArrayLike,
+    dt: float,
+    position_error: float = 1e-3,
+    rotation_error: float = 0.02,
+    rate_error: float = 0.05,
+    stations: int = 6,
+    free: Sequence[str] = ("damping",),
+    start: TendonParameters | None = None,
+    equilibria: tuple[ArrayLike, ArrayLike] | None = None,
+) -> Calibration:
+    """Parameters whose motion looks like noisy recordings, and the initial state of each of them.
+
+    One-step predictions from measured states (``calibrate_from_pairs``) are exact for exact states and biased for noisy
+    ones: noise of the velocities makes the arm look less damped. Here the initial state of every recording is
+    unknown too, and all of its instants count by the errors of their sensors. Initial states are eliminated from every
+    Gauss-Newton step (variable projection: Golub, Pereyra, *The differentiation of pseudo-inverses and nonlinear least
+    squares problems whose variables separate*, SIAM J. Numer. Anal. 1973).
+
+    Args:
+        fields: measured fields (N, T+1, 24 S) at T+1 instants of N recordings; a few steps each are enough.
+        inputs: displacements (N, T+1, m) in m at these instants; they move linearly in between.
+        dt: time between the instants in s.
+        position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
+        rate_error: that of curvatures and velocities, in parts of their spread in the recordings.
+        arm, free, start: as in ``calibrate_from_pairs``.
+        equilibria: displacements (M, m) in m and measured fields (M, 24 S) at rest under them, which count too.
+
+    ``residual`` of the result is in standard deviations of the measurement. Raises RuntimeError where no recording can
+    be simulated; ``success`` is False where the steps did not converge, or some recordings could not be simulated.
+    """
+    y = finite_array(fields, "fields", (None, None, N_FIELDS * stations))
+    u = finite_array(inputs, "inputs", (len(y), y.shape[1], arm.scene.n_inputs))
+    if y.shape[1] < 2:
+        raise ValueError("recordings hold one instant; expected two or more")
+    model = ParametrisedArm(arm, start, free)
+    seen = _Sight(model.scene, stations)
+    motion = _Motion(model, seen, dt, y, u, seen.errors(y, position_error, rotation_error, rate_error))
+    first = np.asarray(model.scene.coordinates(stations).function.map(len(y))(y[:, 0].T)).T
+    rest = None
+    if equilibria is not None:
+        rest = RestingShapes(model, *equilibria, position_error, rotation_error, stations)
+    problem = _Problem(model, motion, rest)
+    x, damping, converged = model.start[model.free], 0.0, False
+    best = problem.linearised(x, first)
+    if not best.used:
+        raise RuntimeError("no recording could be simulated; check that fields and inputs belong to this arm")
+    for _ in range(STEPS):
+        damped = best.normal + damping * np.diag(1.0 / model.spread[model.free] ** 2)
+        change: Array = -np.linalg.solve(damped, best.right)
+        change = change * min(1.0, TRUSTED / max(float(np.abs(change).max()), 1e-300))
+        tried = problem.linearised(x + change, best.moved(first, change))
+        converged = bool(np.abs(change).max() < CONVERGED)
+        if tried.used >= best.used and tried.cost <= best.cost:
+            x, first, best, damping = x + change, best.moved(first, change), tried, 0.1 * damping
+        else:
+            damping = max(10.0 * damping, 10.0)
+        if converged:
+            break
+    return model.result(x, float(np.sqrt(best.misses / best.entries)), best.used, converged and best.used == len(y))
+
+
+@dataclass(frozen=True)
+class _Local:
+    """The problem about a point: normal equations of the parameters, initial states eliminated.
+
+    ``backs`` gives each simulated recording its triangle R of the derivative Q R in the initial state, and Q^T of the
+    misses and of the derivative in the parameters.
+    """
+
+    normal: Array
+    right: Array
+    cost: float
+    misses: float
+    entries: int
+    backs: Mapping[int, tuple[Array, Array, Array]]
+
+    @property
+    def used(self) -> int:
+        return len(self.backs)
+
+    def moved(self, first: Array, change: Array) -> Array:
+        """Initial states that go with a change of the parameters."""
+        found = first.copy()
+        for i, (triangle, miss, slope) in self.backs.items():
+            found[i] -= np.linalg.solve(triangle, miss + slope @ change)
+        return found
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Misses of recordings and of shapes at rest, and the first guess."""
+
+    model: ParametrisedArm
+    motion: _Motion
+    rest: RestingShapes | None
+
+    def linearised(self, x: Array, first: Array) -> _Local:
+        """The problem about parameters ``x`` (P,) and initial states ``first`` (N, 2n)."""
+        prior, spread = self.model.prior(x), self.model.spread[self.model.free]
+        normal, right = np.diag(1.0 / spread**2), prior / spread
+        misses, entries = 0.0, 0
+        if self.rest is not None:
+            miss, slope = self.rest.misses(x), self.rest.slope(x)
+            normal, right = normal + slope.T @ slope, right + slope.T @ miss
+            misses, entries = float(miss @ miss), len(miss)
+        backs: dict[int, tuple[Array, Array, Array]] = {}
+        for i in range(len(first)):
+            found = self.motion.linearised(x, first[i], i)
+            if found is None:
+                continue
+            miss, of_state, of_parameters = found
+            q, triangle = np.linalg.qr(of_state)
+            left, slopes = miss - q @ (q.T @ miss), of_parameters - q @ (q.T @ of_parameters)
+            normal, right = normal + slopes.T @ slopes, right + slopes.T @ left
+            misses, entries = misses + float(miss @ miss), entries + len(miss)
+            backs[i] = (triangle, q.T @ miss, q.T @ of_parameters)
+        return _Local(normal, right, misses + float(prior @ prior), misses, entries, backs)
+
+
+class _Sight:
+    """What sensors see of a state [xi, xi_t], with its derivative; the same entries of measured fields."""
+
+    def __init__(self, scene: Scene, stations: int) -> None:
+        self.scene, self.stations = scene, stations
+        self.quantities = np.array(scene.field_map(stations).quantities)
+        self.rows = np.flatnonzero(np.isin(self.quantities, MEASURED))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """state (2n,) -> entries (K,) and d entries / d state (K, 2n)."""
+        n, fields = self.scene.n_strains, self.scene.field_map(self.stations).symbolic
+        state = ca.SX.sym("state", 2 * n)
+        zero, rest = ca.SX.zeros(n), ca.SX.zeros(self.scene.n_inputs)
+        entries = fields(state[:n], state[n:], zero, rest)[self.rows.tolist()]
+        return ca.Function("sight", [state], [entries, ca.jacobian(entries, state)])
+
+    def errors(self, fields: Array, position: float, rotation: float, rate: float) -> Array:
+        """Standard deviation (K,) of every entry; quantities that never move (the clamp's) get that of others."""
+        found = np.empty(len(self.quantities))
+        for name in MEASURED:
+            of = self.quantities == name
+            if name in ("p", "R"):
+                found[of] = positive(position if name == "p" else rotation, f"error of {name}")
+            else:
+                values = fields[..., of]
+                spread = float(np.sqrt(np.mean((values - values.mean(axis=(0, 1))) ** 2)))
+                found[of] = positive(rate, "rate_error") * (spread or 1.0)
+        return np.asarray(found[self.rows])
+
+
+class _Motion:
+    """Misses of simulated recordings and their derivatives."""
+
+    def __init__(
+        self, model: ParametrisedArm, seen: _Sight, dt: float, fields: Array, inputs: Array, errors: Array
+    ) -> None:
+        self.model, self.seen, self.errors = model, seen, errors
+        self.fields, self.inputs = fields[..., seen.rows], inputs
+        self.stepper = model.scene.stepper(positive(dt, "dt", "s"), step=STEP)
+
+    def linearised(self, x: Array, first: Array, i: int) -> tuple[Array, Array, Array] | None:
+        """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and free
+        parameters; None where the simulation fails."""
+        model, n = self.model, 2 * self.model.scene.n_strains
+        y, u = self.fields[i], self.inputs[i]
+        w = np.zeros((len(u), model.scene.n_inputs))
+        w[:, model.slots["moves"]] = u
+        w[:, model.slots[PARAMETERS]] = model.full(x)
+        parameters = model.slots[PARAMETERS][model.free]
+        state, slope = np.concatenate([first, w[0]]), np.zeros((n, n + len(model.free)))
+        slope[:, :n] = np.eye(n)
+        misses, slopes = [], []
+        for k in range(len(y)):
+            if k:
+                try:
+                    step = self.stepper.sensitivity(state, w[k])
+                except RuntimeError:
+                    return None
+                of_parameters = step.d_state[:n, n + parameters] + step.d_input[:n, parameters]
+                slope = step.d_state[:n, :n] @ slope
+                slope[:, n:] += of_parameters
+                state = step.x
+            entries, jacobian = (np.asarray(v) for v in self.seen.function(state[:n]))
+            misses.append((entries.ravel() - y[k]) / self.errors)
+            slopes.append(jacobian @ slope / self.errors[:, None])
+        stacked = np.concatenate(slopes)
+        return np.concatenate(misses), stacked[:, :n], stacked[:, n:]

@@ -1,0 +1,75 @@
+"""Measured shapes of an arm at rest, against the equilibria of its parametrised model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, finite_array, positive
+from pisplit.models.calibrated import PARAMETERS
+from pisplit.models.calibration_model import ParametrisedArm
+from pisplit.models.rod.fields import N_FIELDS
+
+#: Error, in parts of what is measured, where the simulation fails for the parameters of the moment: a step there is no
+#: progress.
+LOST = 10.0
+#: Steps of central differences of simulations, which have tolerances of 1e-6 and below.
+DIFFERENCE = 3e-3
+#: Entries of the fields of a station that count: positions and frames.
+POSE = 12
+
+
+class RestingShapes:
+    """Misses of solved equilibria in standard deviations of the measurement.
+
+    Args:
+        model: the arm with its free parameters.
+        inputs: displacements (N, m) in m.
+        fields: measured fields (N, 24 S), of which positions and frames count.
+        position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
+    """
+
+    def __init__(
+        self,
+        model: ParametrisedArm,
+        inputs: ArrayLike,
+        fields: ArrayLike,
+        position_error: float,
+        rotation_error: float,
+        stations: int,
+    ) -> None:
+        self.model, self.stations = model, stations
+        self.u = finite_array(inputs, "inputs", (None, model.m))
+        measured = finite_array(fields, "fields", (len(self.u), N_FIELDS * stations))
+        self.measured = measured.reshape(len(self.u), stations, N_FIELDS)[..., :POSE]
+        errors = positive(position_error, "position_error"), positive(rotation_error, "rotation_error")
+        self.error = np.repeat(errors, [3, POSE - 3])
+        self.statics = model.scene.statics()
+
+    def misses(self, x: Array) -> Array:
+        """Misses (N * 12 S,) for the free parameters ``x``."""
+        model = self.model
+        w = np.zeros((len(self.u), model.scene.n_inputs))
+        w[:, model.slots["moves"]] = self.u
+        w[:, model.slots[PARAMETERS]] = model.full(x)
+        solved = self.statics.solve_many(w)
+        shapes = model.scene.fields(np.nan_to_num(solved.states), self.stations)[..., :POSE]
+        missed = (shapes - self.measured) / self.error
+        missed[~solved.success] = LOST / self.error[0] * model.arm.scene.rod.length
+        return np.asarray(missed.reshape(-1))
+
+    def slope(self, x: Array) -> Array:
+        """Derivative of the misses in the free parameters."""
+        return central_slope(self.misses)(x)
+
+
+def central_slope(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Jacobian by central differences with absolute steps: logarithms start at zero."""
+
+    def slope(x: Array) -> Array:
+        steps = DIFFERENCE * np.eye(len(x))
+        return np.stack([(function(x + d) - function(x - d)) / (2.0 * DIFFERENCE) for d in steps], axis=1)
+
+    return slope

@@ -1,0 +1,83 @@
+"""Figures of the ablation: errors over the number of pairs, and over the level of noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from paper_protocol import Summary
+
+Table = dict[tuple[str, str, int], Summary]
+
+OURS = "PI twin"
+LABELS = {"shape": "squared shape error (m$^2$)", "velocity": "squared tip velocity error (m$^2$/s$^2$)"}
+
+
+def draw_sizes(table: Table, path: Path, what: str) -> None:
+    """One panel a scenario: medians with quartiles over the number of pairs."""
+    names = list(dict.fromkeys(law for law, _, _ in table))
+    columns = min(3, len(names))
+    rows = -(-len(names) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(6.2 * columns, 4.6 * rows), squeeze=False, constrained_layout=True
+    )
+    labels = list(dict.fromkeys(method for _, method, _ in table))
+    colours = {label: plt.get_cmap("tab20")(i % 20) for i, label in enumerate(labels)}
+    finite = [s.median for s in table.values() if np.isfinite(s.median)]
+    top = 3.0 * max(finite)
+    for axis, name in zip(axes.ravel(), names, strict=False):
+        for label in labels:
+            points = sorted((size, s) for (law, method, size), s in table.items() if (law, method) == (name, label))
+            if not points:
+                continue
+            x = np.array([size for size, _ in points])
+            median, lower, upper = (
+                np.minimum([getattr(s, part) for _, s in points], top) for part in ("median", "lower", "upper")
+            )
+            width = 2.4 if label == OURS else 1.3
+            axis.plot(x, median, "o-", color=colours[label], lw=width, ms=4, label=label)
+            axis.fill_between(x, lower, upper, color=colours[label], alpha=0.12, lw=0)
+            gone = np.array([not np.isfinite(s.median) for _, s in points])
+            axis.plot(x[gone], median[gone], "X", color=colours[label], ms=9)
+        axis.set(xscale="log", yscale="log", title=name, xlabel="recorded pairs", ylim=(None, 1.3 * top))
+        axis.set_ylabel(LABELS[what])
+        axis.grid(alpha=0.25, which="both")
+    for axis in axes.ravel()[len(names) :]:
+        axis.axis("off")
+    axes[0, 0].legend(fontsize=7, loc="lower left", ncols=2)
+    figure.suptitle("Open-loop roll-outs of 6 s: medians and quartiles; crosses at the top edge diverge")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def draw_noise(tables: Mapping[str, Table], levels: Mapping[str, float], pairs: int, path: Path) -> None:
+    """Errors with ``pairs`` pairs over the level of noise: scenarios by their factor of the usual noise."""
+    figure, axes = plt.subplots(1, len(tables), figsize=(6.2 * len(tables), 4.6), constrained_layout=True)
+    for axis, (what, table) in zip(np.atleast_1d(axes), tables.items(), strict=True):
+        noisy = [name for name, factor in levels.items() if factor]
+        for label in dict.fromkeys(method for law, method, size in table if law in noisy and size == pairs):
+            found = [(f, table[name, label, pairs]) for name, f in levels.items() if (name, label, pairs) in table]
+            x = np.array([factor for factor, _ in sorted(found, key=lambda pair: pair[0])])
+            points = [point for _, point in sorted(found, key=lambda pair: pair[0])]
+            median, lower, upper = (
+                np.array([getattr(point, part) for point in points]) for part in ("median", "lower", "upper")
+            )
+            lines = axis.plot(x, median, "o-", lw=2.4 if label == OURS else 1.3, ms=4, label=label)
+            axis.fill_between(x, lower, upper, color=lines[0].get_color(), alpha=0.12, lw=0)
+        axis.set_xscale("symlog", linthresh=0.25, linscale=0.5)
+        ticks = sorted(set(levels.values()))
+        axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.set(yscale="log", xlabel="noise, in parts of 1 mm, 1 degree, 5 % of rates", ylabel=LABELS[what])
+        axis.minorticks_off()
+        axis.grid(alpha=0.25)
+    np.atleast_1d(axes)[0].legend(fontsize=8, frameon=False)
+    figure.suptitle(f"Open-loop roll-outs of 6 s after {pairs} noisy pairs: medians and quartiles")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
