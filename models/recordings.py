@@ -79,8 +79,8 @@ def calibrate_from_recordings(
         raise RuntimeError("no recording could be simulated; check that fields and inputs belong to this arm")
     for _ in range(STEPS):
         damped = best.normal + damping * np.diag(1.0 / model.spread[model.free] ** 2)
-        change: Array = -np.linalg.solve(damped, best.right)
-        change = change * min(1.0, TRUSTED / max(float(np.abs(change).max()), 1e-300))
+        wanted = -np.linalg.solve(damped, best.right)
+        change = np.asarray(min(1.0, TRUSTED / max(float(np.abs(wanted).max()), 1e-300)) * wanted, dtype=np.float64)
         tried = problem.linearised(x + change, best.moved(first, change))
         converged = bool(np.abs(change).max() < CONVERGED)
         if tried.used >= best.used and tried.cost <= best.cost:

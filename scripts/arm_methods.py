@@ -280,13 +280,16 @@ def from_recordings(scenario: Scenario, draw: Draw, seed: int) -> Calibration:
     """Identification of everything from the first pairs of a draw with their history, and from equilibria."""
     fields, moves = recordings(draw, scenario, min(DAMPING_PAIRS, len(draw)))
     key = (scenario.name, seed, hashlib.sha256(fields.tobytes()).hexdigest())
+    position, rotation, rate = _errors(scenario)
     if key not in _RECORDED:  # larger draws of a seed begin with the same pairs
         _RECORDED[key] = calibrate_from_recordings(
             scenario.known,
             fields,
             moves,
             DT,
-            *_errors(scenario),
+            position_error=position,
+            rotation_error=rotation,
+            rate_error=rate,
             free=("tendons", "bending", "damping"),
             start=scenario.first_guess,
             equilibria=equilibria(scenario.name, seed),
@@ -308,9 +311,10 @@ def recordings(draw: Draw, scenario: Scenario, count: int) -> tuple[Array, Array
     return np.stack(fields), np.stack(moves)
 
 
-def _errors(scenario: Scenario) -> list[float]:
+def _errors(scenario: Scenario) -> tuple[float, float, float]:
     """Standard deviations of positions, frames and rates that a calibration takes; without noise those of the noise."""
-    return [(scenario.noise or 1.0) * NOISE[name] for name in ("p", "R", "rates")]
+    factor = scenario.noise or 1.0
+    return factor * NOISE["p"], factor * NOISE["R"], factor * NOISE["rates"]
 
 
 @lru_cache(maxsize=8)
