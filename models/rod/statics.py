@@ -114,14 +114,14 @@ class Statics:
         outputs = [balance.loads.outputs.get(name, empty) for name in ("tension", "length", "unpulled_length")]
         return ca.Function("readings", [xi, u], outputs, {"cse": True})
 
-    def _rootfinder(self, solver: str, loaded: bool) -> ca.Function:
+    def _rootfinder(self, solver: str, loaded: bool, raises: bool = True) -> ca.Function:
         x, u, load, residual = self._graph
         if loaded:
             function = self.scene.native(self.residual_function)
         else:
             function = ca.Function("g", [x, u, load], [residual], {"cse": True})
         options: dict[str, Any] = {
-            "error_on_fail": True,
+            "error_on_fail": raises,
             "abstol": 1e-10,
             "max_iter": 60,
             "linear_solver": "qr",
@@ -135,6 +135,11 @@ class Statics:
     def kinsol(self) -> ca.Function:
         """``(x_guess, u) -> x`` in scaled unknowns."""
         return self._rootfinder("kinsol", True)
+
+    @cached_property
+    def _kinsol_of_rows(self) -> ca.Function:
+        """The same for a map: a row that fails neither ends it nor prints its inputs; the residual tells."""
+        return self._rootfinder("kinsol", True, raises=False)
 
     @cached_property
     def newton(self) -> ca.Function:
@@ -293,11 +298,8 @@ class Statics:
         return lambda block: coefficients[0] + block @ coefficients[1:]
 
     def _solve_block(self, guess: Array, block: Array) -> Array:
-        """kinsol on every row; a failing row aborts a whole map, so such a block is solved row by row."""
-        try:
-            return np.asarray(self.kinsol.map(len(block))(guess.T, block.T)).T
-        except RuntimeError:
-            return np.array([_attempt(self.kinsol, x, u) for x, u in zip(guess, block, strict=True)])
+        """kinsol on every row; rows that fail come back as they are."""
+        return np.asarray(self._kinsol_of_rows.map(len(block))(guess.T, block.T)).T
 
     def _search(self, u: Array, x0: Array) -> tuple[Array, int | None, str]:
         """Solver after solver until one converges; the last iterate, its iterations and the solver's name."""
