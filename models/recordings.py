@@ -9,11 +9,12 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.calibrated import PARAMETERS, TendonParameters
 from pisplit.models.calibration_model import Calibration, ParametrisedArm
-from pisplit.models.resting_shapes import RestingShapes
+from pisplit.models.resting_shapes import RestingShapes, central_slope
 from pisplit.models.rod import Scene
 from pisplit.models.rod.fields import N_FIELDS
 from pisplit.models.tendon_arm import TendonArm
@@ -22,6 +23,8 @@ from pisplit.models.tendon_arm import TendonArm
 STEP = 0.01
 #: Gauss-Newton ends when no free parameter, of order one, changes by more; and after so many steps.
 CONVERGED, STEPS = 5e-3, 20
+#: Relative change that ends the fit to shapes at rest where that to recordings starts.
+SHAPES_DIGITS = 1e-3
 #: Largest change of a parameter in one step.
 TRUSTED = 0.7
 #: Quantities that count, station by station; axial strains of a stiff backbone cannot be measured.
@@ -69,27 +72,46 @@ def calibrate_from_recordings(
     seen = _Sight(model.scene, stations)
     motion = _Motion(model, seen, dt, y, u, seen.errors(y, position_error, rotation_error, rate_error))
     first = np.asarray(model.scene.coordinates(stations).function.map(len(y))(y[:, 0].T)).T
-    rest = None
+    rest, x, weight, converged = None, model.start[model.free], 0.0, False
     if equilibria is not None:
         rest = RestingShapes(model, *equilibria, position_error, rotation_error, stations)
+        x = _from_shapes(model, rest)
     problem = _Problem(model, motion, rest)
-    x, damping, converged = model.start[model.free], 0.0, False
     best = problem.linearised(x, first)
     if not best.used:
         raise RuntimeError("no recording could be simulated; check that fields and inputs belong to this arm")
     for _ in range(STEPS):
-        damped = best.normal + damping * np.diag(1.0 / model.spread[model.free] ** 2)
+        damped = best.normal + weight * np.diag(np.diag(best.normal))
         wanted = -np.linalg.solve(damped, best.right)
         change = np.asarray(min(1.0, TRUSTED / max(float(np.abs(wanted).max()), 1e-300)) * wanted, dtype=np.float64)
-        tried = problem.linearised(x + change, best.moved(first, change))
+        start_of = best.moved(first, change)
+        tried = problem.linearised(x + change, start_of)
         converged = bool(np.abs(change).max() < CONVERGED)
         if tried.used >= best.used and tried.cost <= best.cost:
-            x, first, best, damping = x + change, best.moved(first, change), tried, 0.1 * damping
+            x, first, best, weight = x + change, start_of, tried, 0.1 * weight
         else:
-            damping = max(10.0 * damping, 10.0)
+            weight = max(10.0 * weight, 0.01)
         if converged:
             break
     return model.result(x, float(np.sqrt(best.misses / best.entries)), best.used, converged and best.used == len(y))
+
+
+def _from_shapes(model: ParametrisedArm, rest: RestingShapes) -> Array:
+    """Free parameters that fit shapes at rest: where recordings start from. Damping stays where it is."""
+
+    def residual(x: Array) -> Array:
+        return np.concatenate([rest.misses(x), model.prior(x)])
+
+    found = least_squares(
+        residual,
+        model.start[model.free],
+        jac=central_slope(residual),
+        x_scale=model.spread[model.free],
+        max_nfev=STEPS,
+        ftol=SHAPES_DIGITS,
+        xtol=SHAPES_DIGITS,
+    )
+    return np.asarray(found.x, dtype=np.float64)
 
 
 @dataclass(frozen=True)

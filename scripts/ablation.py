@@ -91,7 +91,7 @@ def text(table: Table, name: str) -> str:
     """Medians of one scenario, methods by rows; the fraction of divergent roll-outs in brackets where there are any."""
     sizes = sorted({size for law, _, size in table if law == name})
     rows = list(dict.fromkeys(method for law, method, _ in table if law == name))
-    lines = [f"{name}: median squared shape error in m^2", f"{'pairs':<30}" + "".join(f"{s:>16}" for s in sizes)]
+    lines = [f"{name}: median squared shape error in m^2", f"{'pairs':<30}" + "".join(f"{s:>17}" for s in sizes)]
     for method in rows:
         entries = []
         for size in sizes:
@@ -101,7 +101,7 @@ def text(table: Table, name: str) -> str:
                 continue
             number = f"{found.median:.1e}" if np.isfinite(found.median) else "diverges"
             entries.append(number + (f" [{100 * found.diverged:.0f} %]" if found.diverged else ""))
-        lines.append(f"{method:<30}" + "".join(f"{e:>16}" for e in entries))
+        lines.append(f"{method:<30}" + "".join(f"{e:>17}" for e in entries))
     return "\n".join(lines)
 
 
