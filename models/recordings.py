@@ -21,10 +21,13 @@ from pisplit.models.tendon_arm import TendonArm
 
 #: Internal steps of the integrator in s: its error stays far below that of measurements.
 STEP = 0.01
-#: Gauss-Newton ends when no free parameter, of order one, changes by more; and after so many steps.
-CONVERGED, STEPS = 5e-3, 20
-#: Relative change that ends the fit to shapes at rest where that to recordings starts.
-SHAPES_DIGITS = 1e-3
+#: Gauss-Newton ends when no free parameter, of order one, changes by more, or the sum of squares falls by a smaller
+#: part; and after so many steps.
+CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
+#: Factors of Marquardt's weight after a step that was taken and one that was not.
+EASED, STIFFENED = 0.5, 5.0
+#: Relative change, and number of steps, that end the fit to shapes at rest where that to recordings starts.
+SHAPES_DIGITS, SHAPES_STEPS = 1e-3, 20
 #: Largest change of a parameter in one step.
 TRUSTED = 0.7
 #: Quantities that count, station by station; axial strains of a stiff backbone cannot be measured.
@@ -88,9 +91,10 @@ def calibrate_from_recordings(
         tried = problem.linearised(x + change, start_of)
         converged = bool(np.abs(change).max() < CONVERGED)
         if tried.used >= best.used and tried.cost <= best.cost:
-            x, first, best, weight = x + change, start_of, tried, 0.1 * weight
+            converged = converged or best.cost - tried.cost < UNLIKELIER * best.cost
+            x, first, best, weight = x + change, start_of, tried, EASED * weight
         else:
-            weight = max(10.0 * weight, 0.01)
+            weight = max(STIFFENED * weight, 1e-3)
         if converged:
             break
     return model.result(x, float(np.sqrt(best.misses / best.entries)), best.used, converged and best.used == len(y))
@@ -107,7 +111,7 @@ def _from_shapes(model: ParametrisedArm, rest: RestingShapes) -> Array:
         model.start[model.free],
         jac=central_slope(residual),
         x_scale=model.spread[model.free],
-        max_nfev=STEPS,
+        max_nfev=SHAPES_STEPS,
         ftol=SHAPES_DIGITS,
         xtol=SHAPES_DIGITS,
     )
