@@ -26,6 +26,10 @@ STEP = 0.01
 CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
 #: Factors of Marquardt's weight after a step that was taken and one that was not.
 EASED, STIFFENED = 0.5, 5.0
+#: Weight above which a short step only says that it was held back.
+HELD_BACK = 0.1
+#: Smallest slope of misses in an initial state, in parts of the largest: what no sensor sees stays as it is.
+UNSEEN = 1e-7
 #: Relative change, and number of steps, that end the fit to shapes at rest where that to recordings starts.
 SHAPES_DIGITS, SHAPES_STEPS = 1e-3, 20
 #: Largest change of a parameter in one step.
@@ -89,12 +93,14 @@ def calibrate_from_recordings(
         change = np.asarray(min(1.0, TRUSTED / max(float(np.abs(wanted).max()), 1e-300)) * wanted, dtype=np.float64)
         start_of = best.moved(first, change)
         tried = problem.linearised(x + change, start_of)
-        converged = bool(np.abs(change).max() < CONVERGED)
+        small = bool(np.abs(change).max() < CONVERGED)
         if tried.used >= best.used and tried.cost <= best.cost:
-            converged = converged or best.cost - tried.cost < UNLIKELIER * best.cost
+            converged = weight <= HELD_BACK and (small or best.cost - tried.cost < UNLIKELIER * best.cost)
             x, first, best, weight = x + change, start_of, tried, EASED * weight
         else:
             weight = max(STIFFENED * weight, 1e-3)
+            if small:  # uphill however short the step: the end, but not one to rely on
+                break
         if converged:
             break
     return model.result(x, float(np.sqrt(best.misses / best.entries)), best.used, converged and best.used == len(y))
@@ -168,7 +174,9 @@ class _Problem:
             if found is None:
                 continue
             miss, of_state, of_parameters = found
-            q, triangle = np.linalg.qr(of_state)
+            floor = UNSEEN * np.abs(of_state).reshape(len(miss), 2, -1).max(axis=(0, 2))  # of shapes and of rates
+            q, triangle = np.linalg.qr(np.vstack([of_state, np.diag(np.repeat(floor, of_state.shape[1] // 2))]))
+            q = q[: len(miss)]
             left, slopes = miss - q @ (q.T @ miss), of_parameters - q @ (q.T @ of_parameters)
             normal, right = normal + slopes.T @ slopes, right + slopes.T @ left
             misses, entries = misses + float(miss @ miss), entries + len(miss)
