@@ -14,6 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LogNorm
+from matplotlib.ticker import FuncFormatter, LogLocator
 from paper_tables import Row
 
 COLOURS = ("#d95f02", "#7570b3", "#1b6ca8", "#1b9e77", "#e7298a", "#66a61e", "#a6761d", "#666666")
@@ -129,7 +130,10 @@ def _draw_grid(axis: Any, rows: Sequence[Row], what: str, unit: str) -> None:
     axis.set_yticks(range(len(n2s)), [_size(n) for n in n2s])
     axis.set_xlabel("|D1|, training pairs")
     if np.isfinite(values).any():
-        axis.figure.colorbar(image, ax=axis, label=f"median [{unit}]")
+        bar = axis.figure.colorbar(image, ax=axis, label=f"median [{unit}]")
+        bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0e}"))
+        bar.ax.minorticks_off()
 
 
 def _range(values: Any) -> tuple[float, float]:

@@ -35,7 +35,7 @@ from pisplit.models.tendon_arm import TendonArm
 @dataclass(frozen=True)
 class Plan:
     """Data and sizes of a run: |D1| with its number of draws (0: all pairs, once), |D2| of the grid, |D1| there; the
-    same of the fair protocol, whose |D2| are episodes of a twin."""
+    same of the fair protocol, whose |D2| are episodes of a twin (no more of their pairs than ``scale`` has samples)."""
 
     scale: Scale
     sizes: Mapping[int, int]
@@ -63,7 +63,7 @@ PLANS = {
         (64, 512, 4096),
         {16: 3, 256: 1, 4096: 1},
         {16: 1, 4096: 1},
-        (8, 24),
+        (8, 20),
     ),
     "full": Plan(
         Scale(),
