@@ -114,18 +114,7 @@ def calibrate_from_shapes(
         raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_recordings")
     shapes = RestingShapes(model, inputs, fields, position_error, rotation_error, stations)
 
-    def residual(x: Array) -> Array:
-        return np.concatenate([shapes.misses(x), model.prior(x)])
-
-    found = least_squares(
-        residual,
-        model.start[model.free],
-        jac=central_slope(residual),
-        x_scale=model.spread[model.free],
-        max_nfev=100,
-        ftol=1e-6,
-        xtol=1e-6,
-    )
+    found = shapes.fit()
     missed = shapes.misses(found.x)
     return model.result(found.x, float(np.sqrt(np.mean(missed**2))), len(shapes.u), found.status > 0)
 

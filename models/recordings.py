@@ -9,12 +9,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.calibrated import PARAMETERS, TendonParameters
 from pisplit.models.calibration_model import Calibration, ParametrisedArm
-from pisplit.models.resting_shapes import RestingShapes, central_slope
+from pisplit.models.resting_shapes import RestingShapes
 from pisplit.models.rod import Scene
 from pisplit.models.rod.fields import N_FIELDS
 from pisplit.models.tendon_arm import TendonArm
@@ -82,7 +81,7 @@ def calibrate_from_recordings(
     rest, x, weight, converged = None, model.start[model.free], 0.0, False
     if equilibria is not None:
         rest = RestingShapes(model, *equilibria, position_error, rotation_error, stations)
-        x = _from_shapes(model, rest)
+        x = np.asarray(rest.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
     problem = _Problem(model, motion, rest)
     best = problem.linearised(x, first)
     if not best.used:
@@ -104,24 +103,6 @@ def calibrate_from_recordings(
         if converged:
             break
     return model.result(x, float(np.sqrt(best.misses / best.entries)), best.used, converged and best.used == len(y))
-
-
-def _from_shapes(model: ParametrisedArm, rest: RestingShapes) -> Array:
-    """Free parameters that fit shapes at rest: where recordings start from. Damping stays where it is."""
-
-    def residual(x: Array) -> Array:
-        return np.concatenate([rest.misses(x), model.prior(x)])
-
-    found = least_squares(
-        residual,
-        model.start[model.free],
-        jac=central_slope(residual),
-        x_scale=model.spread[model.free],
-        max_nfev=SHAPES_STEPS,
-        ftol=SHAPES_DIGITS,
-        xtol=SHAPES_DIGITS,
-    )
-    return np.asarray(found.x, dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import OptimizeResult, least_squares
 
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.calibrated import PARAMETERS
@@ -63,6 +64,23 @@ class RestingShapes:
     def slope(self, x: Array) -> Array:
         """Derivative of the misses in the free parameters."""
         return central_slope(self.misses)(x)
+
+    def fit(self, digits: float = 1e-6, steps: int = 100) -> OptimizeResult:
+        """Least squares over the free parameters, with the first guess as prior: scipy's result."""
+        model = self.model
+
+        def residual(x: Array) -> Array:
+            return np.concatenate([self.misses(x), model.prior(x)])
+
+        return least_squares(
+            residual,
+            model.start[model.free],
+            jac=central_slope(residual),
+            x_scale=model.spread[model.free],
+            max_nfev=steps,
+            ftol=digits,
+            xtol=digits,
+        )
 
 
 def central_slope(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
