@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.calibrated import PARAMETERS, TendonParameters
-from pisplit.models.calibration_model import GROUPS, Calibration, ParametrisedArm, nominal_parameters
+from pisplit.models.calibration_model import Calibration, ParametrisedArm, nominal_parameters
 from pisplit.models.resting_shapes import LOST, RestingShapes, central_slope
 from pisplit.models.tendon_arm import TendonArm
 
@@ -125,7 +125,7 @@ def calibrate_from_pairs(
     after: ArrayLike,
     inputs: ArrayLike,
     dt: float,
-    free: Sequence[str] = GROUPS,
+    free: Sequence[str] = ("tendons", "bending", "damping"),
     start: TendonParameters | None = None,
     evaluations: int = 8,
 ) -> Calibration:

@@ -12,11 +12,22 @@ from pisplit.models.calibrated import PARAMETERS, CalibratedTendons, TendonParam
 from pisplit.models.rod import KelvinVoigt, Scene, Tendons
 from pisplit.models.tendon_arm import TendonArm
 
-#: What can be identified: the tendons, and factors of the backbone's stiffness and damping.
-GROUPS = ("tendons", "bending", "damping")
+#: What can be identified: parallel tendons; factors of the backbone's stiffness and damping; the routing, by how much
+#: every tendon's point at the tip differs from that at the base; a mass at the tip.
+GROUPS = ("tendons", "bending", "damping", "routing", "load")
 #: Spread of every parameter about its first guess that regularises the fit: offsets by half a radius, stiffness and
-#: slack by a factor of e^3 and 1 mm, rounding by e, stiffness and damping of the backbone by e^0.3 and e.
-SPREAD = {"offset": 0.5, "stiffness": 3.0, "slack": 1.0, "rounding": 1.0, "bending": 0.3, "damping": 1.0}
+#: slack by a factor of e^3 and 1 mm, rounding by e, stiffness and damping of the backbone by e^0.3 and e, points at
+#: the tip by half a radius, a mass there by 10 g.
+SPREAD = {
+    "offset": 0.5,
+    "stiffness": 3.0,
+    "slack": 1.0,
+    "rounding": 1.0,
+    "bending": 0.3,
+    "damping": 1.0,
+    "shift": 0.5,
+    "tip_mass": 1.0,
+}
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,7 @@ def nominal_parameters(arm: TendonArm) -> TendonParameters:
         stiffness=np.full(m, stiffness),
         slack=np.zeros(m),
         rounding=1e-4,
+        shift=np.zeros((m, 2)),
     )
 
 
@@ -77,9 +89,18 @@ class ParametrisedArm:
         self.radius = float(np.hypot(*first.offset.T).mean())
         self.start = first.vector(self.radius)
         m = self.m
-        parts = {"offset": 2 * m, "stiffness": m, "slack": m, "rounding": 1, "bending": 1, "damping": 1}
+        parts = {
+            "offset": 2 * m,
+            "stiffness": m,
+            "slack": m,
+            "rounding": 1,
+            "bending": 1,
+            "damping": 1,
+            "shift": 2 * m,
+            "tip_mass": 1,
+        }
         self.spread = np.concatenate([np.full(size, SPREAD[name]) for name, size in parts.items()])
-        groups = np.repeat(["tendons", "bending", "damping"], [4 * m + 1, 1, 1])
+        groups = np.repeat(GROUPS, [4 * m + 1, 1, 1, 2 * m, 1])
         self.free = np.flatnonzero(np.isin(groups, list(free)))
         self.scene = self._scene(None)
         self.slots = {"moves": np.arange(m), PARAMETERS: np.arange(m, m + len(self.start))}

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, finite_array, positive
+from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.models.calibrated import PARAMETERS, TendonParameters
 from pisplit.models.calibration_model import Calibration, ParametrisedArm
 from pisplit.models.resting_shapes import RestingShapes
@@ -49,6 +49,7 @@ def calibrate_from_recordings(
     free: Sequence[str] = ("damping",),
     start: TendonParameters | None = None,
     equilibria: tuple[ArrayLike, ArrayLike] | None = None,
+    input_error: float = 0.0,
 ) -> Calibration:
     """Parameters whose motion looks like noisy recordings, and the initial state of each of them.
 
@@ -66,6 +67,8 @@ def calibrate_from_recordings(
         rate_error: that of curvatures and velocities, in parts of their spread in the recordings.
         arm, free, start: as in ``calibrate_from_pairs``.
         equilibria: displacements (M, m) in m and measured fields (M, 24 S) at rest under them, which count too.
+        input_error: standard deviation in m of the displacements, such as a play between servo and tendons makes: each
+            recording and each equilibrium then has unknown displacements too, the measured ones and a constant.
 
     ``residual`` of the result is in standard deviations of the measurement. Raises RuntimeError where no recording can
     be simulated; ``success`` is False where the steps did not converge, or some recordings could not be simulated.
@@ -76,14 +79,20 @@ def calibrate_from_recordings(
         raise ValueError("recordings hold one instant; expected two or more")
     model = ParametrisedArm(arm, start, free)
     seen = _Sight(model.scene, stations)
-    motion = _Motion(model, seen, dt, y, u, seen.errors(y, position_error, rotation_error, rate_error))
+    play = non_negative(input_error, "input_error", "m")
+    motion = _Motion(model, seen, dt, y, u, seen.errors(y, position_error, rotation_error, rate_error), play)
     first = np.asarray(model.scene.coordinates(stations).function.map(len(y))(y[:, 0].T)).T
+    first = np.hstack([first, np.zeros((len(y), motion.n_offsets))])
     rest, x, weight, converged = None, model.start[model.free], 0.0, False
     if equilibria is not None:
-        rest = RestingShapes(model, *equilibria, position_error, rotation_error, stations)
-        x = np.asarray(rest.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
+        rest = RestingShapes(model, *equilibria, position_error, rotation_error, stations, play)
     problem = _Problem(model, motion, rest)
     best = problem.linearised(x, first)
+    if rest is not None:
+        still = np.asarray(rest.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
+        tried = problem.linearised(still, first)
+        if tried.better(best):  # shapes at rest alone may leave an arm that cannot be moved
+            x, best = still, tried
     if not best.used:
         raise RuntimeError("no recording could be simulated; check that fields and inputs belong to this arm")
     for _ in range(STEPS):
@@ -93,7 +102,7 @@ def calibrate_from_recordings(
         start_of = best.moved(first, change)
         tried = problem.linearised(x + change, start_of)
         small = bool(np.abs(change).max() < CONVERGED)
-        if tried.used >= best.used and tried.cost <= best.cost:
+        if tried.better(best):
             converged = weight <= HELD_BACK and (small or best.cost - tried.cost < UNLIKELIER * best.cost)
             x, first, best, weight = x + change, start_of, tried, EASED * weight
         else:
@@ -123,6 +132,10 @@ class _Local:
     @property
     def used(self) -> int:
         return len(self.backs)
+
+    def better(self, other: _Local) -> bool:
+        """Whether it is no worse, and no recording was lost."""
+        return self.used > other.used or (self.used == other.used and self.cost <= other.cost)
 
     def moved(self, first: Array, change: Array) -> Array:
         """Initial states that go with a change of the parameters."""
@@ -155,8 +168,11 @@ class _Problem:
             if found is None:
                 continue
             miss, of_state, of_parameters = found
-            floor = UNSEEN * np.abs(of_state).reshape(len(miss), 2, -1).max(axis=(0, 2))  # of shapes and of rates
-            q, triangle = np.linalg.qr(np.vstack([of_state, np.diag(np.repeat(floor, of_state.shape[1] // 2))]))
+            states = of_state.shape[1] - self.motion.n_offsets
+            parts = np.abs(of_state[:, :states]).reshape(len(miss), 2, -1)  # of shapes and of rates
+            floor = np.repeat(UNSEEN * parts.max(axis=(0, 2)), states // 2)
+            kept = np.diag(np.concatenate([floor, np.zeros(self.motion.n_offsets)]))
+            q, triangle = np.linalg.qr(np.vstack([of_state, kept]))
             q = q[: len(miss)]
             left, slopes = miss - q @ (q.T @ miss), of_parameters - q @ (q.T @ of_parameters)
             normal, right = normal + slopes.T @ slopes, right + slopes.T @ left
@@ -200,22 +216,33 @@ class _Motion:
     """Misses of simulated recordings and their derivatives."""
 
     def __init__(
-        self, model: ParametrisedArm, seen: _Sight, dt: float, fields: Array, inputs: Array, errors: Array
+        self,
+        model: ParametrisedArm,
+        seen: _Sight,
+        dt: float,
+        fields: Array,
+        inputs: Array,
+        errors: Array,
+        input_error: float,
     ) -> None:
-        self.model, self.seen, self.errors = model, seen, errors
+        self.model, self.seen, self.errors, self.input_error = model, seen, errors, input_error
+        self.n_offsets = model.m if input_error > 0.0 else 0
         self.fields, self.inputs = fields[..., seen.rows], inputs
         self.stepper = model.scene.stepper(positive(dt, "dt", "s"), step=STEP)
 
     def linearised(self, x: Array, first: Array, i: int) -> tuple[Array, Array, Array] | None:
-        """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and free
-        parameters; None where the simulation fails."""
+        """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and offsets
+        of the displacements, and in free parameters; None where the simulation fails."""
         model, n = self.model, 2 * self.model.scene.n_strains
+        own, offset = n + self.n_offsets, first[n:]
         y, u = self.fields[i], self.inputs[i]
         w = np.zeros((len(u), model.scene.n_inputs))
-        w[:, model.slots["moves"]] = u
+        w[:, model.slots["moves"]] = u + (offset if self.n_offsets else 0.0)
         w[:, model.slots[PARAMETERS]] = model.full(x)
-        parameters = model.slots[PARAMETERS][model.free]
-        state, slope = np.concatenate([first, w[0]]), np.zeros((n, n + len(model.free)))
+        parameters = np.concatenate(
+            [model.slots["moves"][: self.n_offsets], model.slots[PARAMETERS][model.free]]
+        )  # offsets of displacements are constant, too
+        state, slope = np.concatenate([first[:n], w[0]]), np.zeros((n, own + len(model.free)))
         slope[:, :n] = np.eye(n)
         misses, slopes = [], []
         for k in range(len(y)):
@@ -231,5 +258,8 @@ class _Motion:
             entries, jacobian = (np.asarray(v) for v in self.seen.function(state[:n]))
             misses.append((entries.ravel() - y[k]) / self.errors)
             slopes.append(jacobian @ slope / self.errors[:, None])
+        if self.n_offsets:
+            misses.append(offset / self.input_error)
+            slopes.append(np.eye(self.n_offsets, slope.shape[1], n) / self.input_error)
         stacked = np.concatenate(slopes)
-        return np.concatenate(misses), stacked[:, :n], stacked[:, n:]
+        return np.concatenate(misses), stacked[:, :own], stacked[:, own:]

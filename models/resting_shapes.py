@@ -18,6 +18,8 @@ from pisplit.models.rod.fields import N_FIELDS
 LOST = 10.0
 #: Steps of central differences of simulations, which have tolerances of 1e-6 and below.
 DIFFERENCE = 3e-3
+#: Step in m of differences in the displacements.
+NUDGE = 1e-4
 #: Entries of the fields of a station that count: positions and frames.
 POSE = 12
 
@@ -30,6 +32,8 @@ class RestingShapes:
         inputs: displacements (N, m) in m.
         fields: measured fields (N, 24 S), of which positions and frames count.
         position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
+        input_error: that of displacements in m. What it does to the shapes is taken to first order about the first
+            guess, and misses are divided by the root of their whole covariance.
     """
 
     def __init__(
@@ -40,6 +44,7 @@ class RestingShapes:
         position_error: float,
         rotation_error: float,
         stations: int,
+        input_error: float = 0.0,
     ) -> None:
         self.model, self.stations = model, stations
         self.u = finite_array(inputs, "inputs", (None, model.m))
@@ -48,18 +53,36 @@ class RestingShapes:
         errors = positive(position_error, "position_error"), positive(rotation_error, "rotation_error")
         self.error = np.repeat(errors, [3, POSE - 3])
         self.statics = model.scene.statics()
+        self.root: Array | None = None
+        if input_error > 0.0:
+            self.root = self._root_of_covariance(input_error)
 
     def misses(self, x: Array) -> Array:
         """Misses (N * 12 S,) for the free parameters ``x``."""
+        missed = self._missed(x, self.u)
+        if self.root is not None:
+            missed = np.linalg.solve(self.root, missed[..., None])[..., 0]
+        return np.asarray(missed.reshape(-1))
+
+    def _root_of_covariance(self, input_error: float) -> Array:
+        """Lower triangles (N, 12 S, 12 S) of the covariance of the misses, 1 from sensors and that from inputs."""
+        x = self.model.start[self.model.free]
+        steps = NUDGE * np.eye(self.u.shape[1])
+        slopes = [(self._missed(x, self.u + d) - self._missed(x, self.u - d)) / (2.0 * NUDGE) for d in steps]
+        of_inputs = input_error * np.stack(slopes, axis=-1)
+        return np.linalg.cholesky(np.eye(of_inputs.shape[1]) + of_inputs @ of_inputs.transpose(0, 2, 1))
+
+    def _missed(self, x: Array, u: Array) -> Array:
+        """Misses (N, 12 S) in parts of the sensors' errors."""
         model = self.model
-        w = np.zeros((len(self.u), model.scene.n_inputs))
-        w[:, model.slots["moves"]] = self.u
+        w = np.zeros((len(u), model.scene.n_inputs))
+        w[:, model.slots["moves"]] = u
         w[:, model.slots[PARAMETERS]] = model.full(x)
         solved = self.statics.solve_many(w)
         shapes = model.scene.fields(np.nan_to_num(solved.states), self.stations)[..., :POSE]
         missed = (shapes - self.measured) / self.error
         missed[~solved.success] = LOST / self.error[0] * model.arm.scene.rod.length
-        return np.asarray(missed.reshape(-1))
+        return np.asarray(missed.reshape(len(u), -1))
 
     def slope(self, x: Array) -> Array:
         """Derivative of the misses in the free parameters."""

@@ -42,12 +42,17 @@ TWIN_EPISODES, TWIN_SEED = 96, 1_000_003
 DAMPING_PAIRS, DAMPING_STEP = 24, 0.02
 #: Residual of the balance of forces in measured equilibria, in parts of EI/L, below which it is the way to tendons.
 BALANCED = 1e-3
+#: What is identified at rest, and in motion.
+RESTING = ("tendons", "routing", "bending", "load")
+MOVING = (*RESTING, "damping")
 #: Pairs that tendons are identified from when no equilibria are known.
 TENDON_PAIRS = 16
 #: Numbers of principal components whose products are columns and of radial functions of the inputs (with slack
 #: features), and ridges of the twin's regression: what rolls the twin's last episodes out best is taken, beside the
 #: plain fields, which are the safer choice where the twin is wrong.
 RICH, PLAIN = ((4, 0, 1e-6), (6, 0, 1e-6), (12, 0, 3e-5), (12, 0, 1e-4), (4, 100, 1e-5)), (0, 0, 1e-5)
+#: The fields with delays, which carry what the twin knows nothing of, are a third candidate from so many pairs on.
+DELAYS, DELAYED_FROM = 2, 2000
 TWIN_HELD_OUT = 6
 #: Centres of radial functions are chosen from every seventh input, and there are some for each of them.
 THINNED, ROWS_PER_CENTRE = 7, 4
@@ -211,6 +216,8 @@ class TwinMethod:
         calibration = self._calibrated(scenario, small)
         twin, dictionaries = _twin_of(self._simulated(calibration, scenario), self.episodes)
         fits = []
+        if self.use_pairs and len(draw) >= DELAYED_FROM:
+            dictionaries = [*dictionaries, (twin_dictionary(twin, 0, 0, DELAYS), PLAIN[-1])]
         for theta, ridge in dictionaries:
             if self.use_pairs:
                 fit = TwinEDMDc(
@@ -241,6 +248,7 @@ class TwinMethod:
                 scenario.known,
                 *equilibria(scenario.name, self.seed),
                 *_errors(scenario)[:2],
+                free=RESTING,
                 start=scenario.first_guess,
             )
         return from_recordings(scenario, draw, self.seed)
@@ -290,9 +298,10 @@ def from_recordings(scenario: Scenario, draw: Draw, seed: int) -> Calibration:
             position_error=position,
             rotation_error=rotation,
             rate_error=rate,
-            free=("tendons", "bending", "damping"),
+            free=MOVING,
             start=scenario.first_guess,
             equilibria=equilibria(scenario.name, seed),
+            input_error=scenario.backlash / np.sqrt(12.0),  # play that is anywhere
         )
     return _RECORDED[key]
 
@@ -338,7 +347,7 @@ def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
     return [(twin_dictionary(twin, number, centres), ridge) for number, centres, ridge in (PLAIN, best)]
 
 
-def twin_dictionary(twin: Episodes, number: int, centres: int) -> Dictionary:
+def twin_dictionary(twin: Episodes, number: int, centres: int, delays: int = 0) -> Dictionary:
     """Bilinear dictionary of the fields, with products of principal components and functions of the inputs."""
     inputs: list[Any] = []
     if centres:
@@ -351,7 +360,7 @@ def twin_dictionary(twin: Episodes, number: int, centres: int) -> Dictionary:
         ob.Inputs(),
         ob.Polynomials(2, of="inputs"),
         *inputs,
-        ob.Delays(inputs=1),
+        ob.Delays(states=delays, inputs=1),
         ob.Bilinear(),
         n_states=twin.n_states,
         n_inputs=twin.n_inputs,
@@ -369,7 +378,7 @@ def from_equilibria(name: str, seed: int) -> Calibration:
     scenario = scenarios()[name]
     u, fields = equilibria(name, seed)
     rest = coordinates(scenario.known, fields)
-    return calibrate_from_equilibria(scenario.known, u, rest, start=scenario.first_guess)
+    return calibrate_from_equilibria(scenario.known, u, rest, RESTING, scenario.first_guess)
 
 
 @lru_cache(maxsize=16)

@@ -238,4 +238,4 @@ def _with_twist(arm: TendonArm, degrees: float) -> TendonArm:
 
 def _with_tip_load(arm: TendonArm, mass: float) -> TendonArm:
     """The arm with a mass in kg at its tip that nobody is told of."""
-    return replace(arm, scene=arm.scene + rod.PointMass(mass, arm.scene.rod.length))
+    return replace(arm, scene=arm.scene + rod.PointMass(arm.scene.rod.length, mass))

@@ -39,7 +39,7 @@ def equilibria(arm: TendonArm, n: int, seed: int) -> tuple[np.ndarray, np.ndarra
 
 
 def test_parameters_and_their_vector_are_the_same() -> None:
-    values = np.random.default_rng(0).normal(size=15)
+    values = np.random.default_rng(0).normal(size=22)
     found = TendonParameters.of_vector(values, 0.015).vector(0.015)
     np.testing.assert_allclose(found, values, atol=1e-12)
 
@@ -116,6 +116,73 @@ def test_calibrated_tendons_are_the_tendons_they_were_identified_from(arm: Tendo
     assert exact.success
     assert found.success
     np.testing.assert_allclose(found.state[:12], exact.state[:12], atol=1e-6 * np.abs(exact.state[:12]).max())
+
+
+def test_straight_tendons_that_converge_are_those_of_the_rod_scene(arm: TendonArm) -> None:
+    told = nominal_parameters(arm)
+    damping = next(t for t in arm.scene.terms if isinstance(t, rod.KelvinVoigt))
+    tendons = next(t for t in arm.scene.terms if isinstance(t, rod.Tendons))
+    length = arm.scene.rod.length
+    tips = 0.6 * told.offset @ np.array([[0.9, 0.4], [-0.4, 0.9]])
+    lines = [rod.Line(tuple(a), tuple(b), length) for a, b in zip(told.offset.tolist(), tips.tolist(), strict=True)]
+    exact = arm.passive + replace(tendons, offsets=lines)
+    values = replace(told, rounding=1e-5, shift=tips - told.offset).vector(0.015)
+    twin = arm.passive + CalibratedTendons(3, 0.015, tuple(values.tolist()), damping)
+    u = arm.rest_inputs + np.array([8e-3, -4e-3, -4e-3])
+    states = [scene.statics().solve(u) for scene in (exact, twin)]
+    assert all(found.success for found in states)
+    expected = states[0].state[:12]
+    np.testing.assert_allclose(states[1].state[:12], expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_tendons_that_turn_about_the_backbone_are_found_from_equilibria(arm: TendonArm) -> None:
+    """20 degrees over the length: with parallel tendons 9 mm are left, with straight ones 0.06."""
+    tendons = next(t for t in arm.scene.terms if isinstance(t, rod.Tendons))
+    pitch = arm.scene.rod.length * 18.0
+    helices = [rod.Helix(float(np.hypot(*p)), pitch, float(np.arctan2(*p[::-1]))) for p in tendons.offsets]
+    turned = replace(tendons, offsets=helices)
+    terms = [turned if t is tendons else t for t in arm.scene.terms]
+    real = replace(arm, scene=rod.Scene(arm.scene.rod, *terms, nodes=arm.scene.nodes))
+    u, v = (arm.rest_inputs + random_differential(arm, 20, np.random.default_rng(seed)) for seed in (0, 1))
+    shapes, unseen = (real.scene.statics().solve_many(x) for x in (u, v))
+    exact = real.scene.fields(unseen.states, 6)[..., :3]
+    misses = []
+    for free in (("tendons", "bending"), ("tendons", "bending", "routing")):
+        found = calibrate_from_equilibria(arm, u, shapes.states[:, : arm.scene.n_strains], free)
+        assert found.success
+        twin = found.arm.scene.fields(found.arm.scene.statics().solve_many(v).states, 6)[..., :3]
+        misses.append(float(np.sqrt(np.mean((twin - exact) ** 2))))
+    assert misses[1] < 0.03 * misses[0]
+
+
+def test_a_mass_at_the_tip_is_found_from_equilibria(arm: TendonArm, wrong: TendonParameters) -> None:
+    """10 g on an arm of 34 g, in statics and in motion the same as the point mass of a scene."""
+    real = replace(arm, scene=arm.scene + rod.PointMass(arm.scene.rod.length, 0.01))
+    free = ("tendons", "bending", "load")
+    found = calibrate_from_equilibria(arm, *equilibria(real, 16, 0), free, wrong)
+    assert found.parameters.tip_mass == pytest.approx(0.01, rel=1e-3)
+    assert found.parameters.bending == pytest.approx(1.0, abs=1e-3)
+    u = arm.rest_inputs + random_differential(arm, 6, np.random.default_rng(1))
+    exact, twin = (a.scene.simulator(dt=0.03, rtol=1e-6).run(u).fields(6)[..., :3] for a in (real, found.arm))
+    assert np.abs(twin - exact).max() < 1e-2 * np.abs(exact - exact[0]).max()
+
+
+def test_play_between_servo_and_tendons_is_told_from_the_arm(arm: TendonArm, wrong: TendonParameters) -> None:
+    """Displacements off by 0.2 mm: counted as errors of the displacements they hardly touch what is identified."""
+    rng = np.random.default_rng(11)
+    u, strains = equilibria(arm, 12, 0)
+    states = np.hstack([strains, np.zeros_like(strains), u])
+    fields, moves = recordings(arm, 5, noise=0.3)
+    rest = (u + 2e-4 * rng.standard_normal(u.shape), arm.scene.fields(states, 6).reshape(12, -1))
+    moves = moves + 2e-4 * rng.standard_normal((5, 1, 3))
+    misses = []
+    for error in (0.0, 2e-4):
+        found = calibrate_from_recordings(
+            arm, fields, moves, 0.03, 3e-4, 6e-3, 0.015, free=("tendons", "bending", "damping"), start=wrong,
+            equilibria=rest, input_error=error,
+        )  # fmt: skip
+        misses.append(float(np.abs(found.parameters.offset - nominal_parameters(arm).offset).max()))
+    assert misses[1] < 0.3 * misses[0]
 
 
 def recordings(arm: TendonArm, number: int, noise: float) -> tuple[np.ndarray, np.ndarray]:

@@ -152,6 +152,9 @@ class PointMass:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add weight m g and inertia -m a at the centre of mass, and the rate of its angular momentum."""
+        if not any(self.offset) and not any(self.inertia):
+            add_mass(motion, loads, self.s, self.mass)
+            return
         arm = self._arm(motion)
         if loads.gravity.nnz() > 0:
             weight = self.mass * loads.gravity
@@ -183,6 +186,14 @@ class PointMass:
         inertia = f", inertia {_short(self.inertia)} kg m^2" if any(self.inertia) else ""
         offset = f", offset {_short(self.offset)} m" if any(self.offset) else ""
         return f"mass {self.mass:g} kg at s = {self.s:g} m{inertia}{offset}"
+
+
+def add_mass(motion: Motion, loads: Loads, s: float, mass: float | ca.SX) -> None:
+    """Weight and inertia of a mass in kg, a number or an expression, on the centreline at arclength ``s`` in m."""
+    if loads.gravity.nnz() > 0:
+        loads.add_at(motion, s, mass * loads.gravity, ca.SX(3, 1))
+    if loads.moving:
+        loads.add_inertia_at(motion, s, -mass * motion.acceleration_at([s]))
 
 
 def _short(values: Sequence[float]) -> str:
