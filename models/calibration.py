@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from pisplit.checks import Array, finite_array, positive
+from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.models.calibrated import PARAMETERS, TendonParameters
 from pisplit.models.calibration_model import Calibration, ParametrisedArm, nominal_parameters
 from pisplit.models.resting_shapes import LOST, RestingShapes, central_slope
@@ -96,6 +96,7 @@ def calibrate_from_shapes(
     stations: int = 6,
     free: Sequence[str] = ("tendons", "bending"),
     start: TendonParameters | None = None,
+    input_error: float = 0.0,
 ) -> Calibration:
     """Tendons whose equilibria look like measured ones: least squares on positions and frames of solved statics.
 
@@ -108,11 +109,13 @@ def calibrate_from_shapes(
         fields: measured fields (N, 24 S) at rest under them, of which positions and frames count.
         position_error, rotation_error: standard deviations of the measured positions in m and frames in rad.
         arm, free, start: as in ``calibrate_from_equilibria``.
+        input_error: standard deviation in m of the displacements, such as a play between servo and tendons makes.
     """
     model = ParametrisedArm(arm, start, free)
     if "damping" in free:
         raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_recordings")
-    shapes = RestingShapes(model, inputs, fields, position_error, rotation_error, stations)
+    play = non_negative(input_error, "input_error", "m")
+    shapes = RestingShapes(model, inputs, fields, position_error, rotation_error, stations, play)
 
     found = shapes.fit()
     missed = shapes.misses(found.x)
