@@ -85,6 +85,27 @@ def test_hysteresis_and_routing_are_in_the_arm_that_moves_alone() -> None:
     np.testing.assert_array_equal(late, told)  # what is commanded; where the tendons are nobody knows
 
 
+def test_the_tip_load_hangs_at_the_tip() -> None:
+    """10 g pull a cantilever down by F L^3 / 12 EI where stiff tendons keep its tip from turning."""
+    found = module("arm_scenarios").scenarios()["tip load"]
+    body, u = found.known.scene.rod, found.known.rest_inputs
+    tips = [arm.scene.fields(arm.scene.statics().solve(u).state, 2)[1, :3] for arm in (found.arm, found.known)]
+    expected = 0.01 * 9.81 * body.length**3 / (12.0 * body.stiffness[0])
+    assert (tips[1] - tips[0])[0] == pytest.approx(expected, rel=0.3)
+
+
+def test_errors_over_sizes_are_drawn_for_every_method(tmp_path: Path) -> None:
+    figures, protocol = module("ablation_figures"), module("paper_protocol")
+    found = module("arm_methods").methods(tmp_path, 0)
+    table = {
+        ("paper arm", method, size): protocol.Summary(np.inf if "Strang" in method else 1e-4, 1e-5, 1e-3, 0.0)
+        for method in found
+        for size in (16, 64)
+    }
+    figures.draw_sizes(table, tmp_path / "sizes.png", "shape")
+    assert (tmp_path / "sizes.png").stat().st_size > 10_000
+
+
 def test_recordings_hold_the_pair_its_history_and_where_the_servo_was(arm_episodes: Episodes) -> None:
     protocol, methods, scenarios = module("paper_protocol"), module("arm_methods"), module("arm_scenarios")
     rng = np.random.default_rng(1)
