@@ -130,7 +130,8 @@ def _draw_grid(axis: Any, rows: Sequence[Row], what: str, unit: str) -> None:
     axis.set_yticks(range(len(n2s)), [_size(n) for n in n2s])
     axis.set_xlabel("|D1|, training pairs")
     if np.isfinite(values).any():
-        bar = axis.figure.colorbar(image, ax=axis, label=f"median [{unit}]")
+        bar = axis.figure.colorbar(image, ax=axis)
+        bar.ax.set_title(f"[{unit}]", fontsize=9)  # beside the bar it would run into the next panel
         bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0e}"))
         bar.ax.minorticks_off()
