@@ -52,7 +52,7 @@ TENDON_PAIRS = 16
 #: plain fields, which are the safer choice where the twin is wrong.
 RICH, PLAIN = ((4, 0, 1e-6), (6, 0, 1e-6), (12, 0, 3e-5), (12, 0, 1e-4), (4, 100, 1e-5)), (0, 0, 1e-5)
 #: The fields with delays, which carry what the twin knows nothing of, are a third candidate from so many pairs on.
-DELAYS, DELAYED_FROM = 2, 10_000
+DELAYS, DELAYED_FROM = 2, 2000
 TWIN_HELD_OUT = 6
 #: Centres of radial functions are chosen from every seventh input, and there are some for each of them.
 THINNED, ROWS_PER_CENTRE = 7, 4
