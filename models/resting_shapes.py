@@ -61,7 +61,7 @@ class RestingShapes:
         """Misses (N * 12 S,) for the free parameters ``x``."""
         missed = self._missed(x, self.u)
         if self.root is not None:
-            missed = np.linalg.solve(self.root, missed[..., None])[..., 0]
+            missed = np.asarray(np.linalg.solve(self.root, missed[..., None])[..., 0], dtype=np.float64)
         return np.asarray(missed.reshape(-1))
 
     def _root_of_covariance(self, input_error: float) -> Array:
@@ -70,7 +70,8 @@ class RestingShapes:
         steps = NUDGE * np.eye(self.u.shape[1])
         slopes = [(self._missed(x, self.u + d) - self._missed(x, self.u - d)) / (2.0 * NUDGE) for d in steps]
         of_inputs = input_error * np.stack(slopes, axis=-1)
-        return np.linalg.cholesky(np.eye(of_inputs.shape[1]) + of_inputs @ of_inputs.transpose(0, 2, 1))
+        covariance = np.eye(of_inputs.shape[1]) + of_inputs @ of_inputs.transpose(0, 2, 1)
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
     def _missed(self, x: Array, u: Array) -> Array:
         """Misses (N, 12 S) in parts of the sensors' errors."""
