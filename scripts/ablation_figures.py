@@ -44,7 +44,7 @@ def draw_sizes(table: Table, path: Path, what: str) -> None:
     labels = list(dict.fromkeys(method for _, method, _ in table))
     finite = [s.median for s in table.values() if np.isfinite(s.median)]
     top = 3.0 * max(finite)
-    lines = {}
+    lines: dict[str, Any] = {}
     for axis, name in zip(axes.ravel(), names, strict=False):
         for label in labels:
             points = sorted((size, s) for (law, method, size), s in table.items() if (law, method) == (name, label))
@@ -64,7 +64,8 @@ def draw_sizes(table: Table, path: Path, what: str) -> None:
         axis.grid(alpha=0.25)
     for axis in axes.ravel()[len(names) :]:
         axis.axis("off")
-    figure.legend(handles=list(lines.values()), loc="outside lower center", ncols=min(5, len(lines)), frameon=False)
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": min(5, len(lines)), "frameon": False}
+    figure.legend(list(lines.values()), list(lines), **below)
     figure.suptitle("Open-loop roll-outs of 6 s: medians and quartiles; crosses at the top edge diverge")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
