@@ -66,7 +66,8 @@ def draw_sizes(table: Table, path: Path, what: str) -> None:
         axis.axis("off")
     below: dict[str, Any] = {"loc": "outside lower center", "ncols": min(5, len(lines)), "frameon": False}
     figure.legend(list(lines.values()), list(lines), **below)
-    figure.suptitle("Open-loop roll-outs of 6 s: medians and quartiles; crosses at the top edge diverge")
+    parts = ("Open-loop roll-outs of 6 s: medians and quartiles", "crosses at the top edge diverge")
+    figure.suptitle(("; " if columns > 1 else "\n").join(parts))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
