@@ -89,10 +89,10 @@ def calibrate_from_recordings(
     problem = _Problem(model, motion, rest)
     best = problem.linearised(x, first)
     if rest is not None:
-        still = np.asarray(rest.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
-        tried = problem.linearised(still, first)
+        resting = np.asarray(rest.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
+        tried = problem.linearised(resting, first)
         if tried.better(best):  # shapes at rest alone may leave an arm that cannot be moved
-            x, best = still, tried
+            x, best = resting, tried
     if not best.used:
         raise RuntimeError("no recording could be simulated; check that fields and inputs belong to this arm")
     for _ in range(STEPS):
@@ -103,7 +103,8 @@ def calibrate_from_recordings(
         tried = problem.linearised(x + change, start_of)
         small = bool(np.abs(change).max() < CONVERGED)
         if tried.better(best):
-            converged = weight <= HELD_BACK and (small or best.cost - tried.cost < UNLIKELIER * best.cost)
+            still = tried.used == best.used and best.cost - tried.cost < UNLIKELIER * best.cost
+            converged = weight <= HELD_BACK and (small or still)
             x, first, best, weight = x + change, start_of, tried, EASED * weight
         else:
             weight = max(STIFFENED * weight, 1e-3)
