@@ -1,8 +1,8 @@
 """Every construction and baseline on the same draws: error of open-loop roll-outs over the number of recorded pairs.
 
 Arms, input laws, noise and wrong physics are scenarios (``arm_scenarios.py``), methods are in ``arm_methods.py``. All
-methods get the same pairs and the same held-out training episodes for their choices; no fit sees the test episodes (what
-was settled with them in view is in docs/ablation.md; another ``--seed`` is fresh data).
+methods get the same pairs and the same held-out training episodes for their choices; no fit sees the test episodes.
+What was settled with test errors of the default seed in view is in docs/ablation.md; another seed is fresh data.
 Errors are medians with quartiles over all steps of all test roll-outs of all draws; a roll-out that diverges counts as
 infinite from there on. Cells are kept on disk: a killed run continues.
 """
