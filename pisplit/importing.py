@@ -120,8 +120,8 @@ def from_mat(
 ) -> Episodes:
     """Episodes from a MATLAB file (up to version 7.2) with variables of these names, each (N,) or (N, k).
 
-    Columns of a matrix ``q`` are named q1, q2, ... ``options`` as in :func:`from_arrays`. Raises FileNotFoundError, and
-    ValueError for missing variables and files of another format.
+    Columns of a matrix ``q`` are named q1, q2, ... ``options`` as in :func:`from_arrays`. Raises FileNotFoundError,
+    PermissionError, and ValueError for missing variables and files of another format.
     """
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
@@ -131,10 +131,11 @@ def from_mat(
         raise FileNotFoundError(f"{source} does not exist; expected a MATLAB file")
     groups = [[names] if isinstance(names, str) else list(names) for names in (states, inputs)]
     wanted = [time, *groups[0], *groups[1]]
-    try:
-        content = loadmat(source, variable_names=wanted)
-    except (MatReadError, ValueError, NotImplementedError, TypeError, OSError):
-        raise ValueError(f"{source} is no MATLAB file up to version 7.2; save it with '-v7'") from None
+    with source.open("rb") as file:  # what cannot be opened says so itself
+        try:
+            content = loadmat(file, variable_names=wanted)
+        except (MatReadError, ValueError, NotImplementedError, TypeError, OSError):
+            raise ValueError(f"{source} is no MATLAB file up to version 7.2; save it with '-v7'") from None
     missing = [name for name in wanted if name not in content]
     if missing:
         raise ValueError(f"{source} has no variable {missing[0]!r}; give names of its variables")

@@ -136,7 +136,7 @@ def test_straight_tendons_that_converge_are_those_of_the_rod_scene(arm: TendonAr
 
 
 def test_tendons_that_turn_about_the_backbone_are_found_from_equilibria(arm: TendonArm) -> None:
-    """20 degrees over the length: with parallel tendons 9 mm are left, with straight ones 0.06."""
+    """20 degrees over the length: with parallel tendons 9 mm of the shape are left, with straight ones 0.06."""
     tendons = next(t for t in arm.scene.terms if isinstance(t, rod.Tendons))
     pitch = arm.scene.rod.length * 18.0
     helices = [rod.Helix(float(np.hypot(*p)), pitch, float(np.arctan2(*p[::-1]))) for p in tendons.offsets]
@@ -152,7 +152,7 @@ def test_tendons_that_turn_about_the_backbone_are_found_from_equilibria(arm: Ten
         assert found.success
         twin = found.arm.scene.fields(found.arm.scene.statics().solve_many(v).states, 6)[..., :3]
         misses.append(float(np.sqrt(np.mean((twin - exact) ** 2))))
-    assert misses[1] < 0.03 * misses[0]
+    assert misses == pytest.approx([9e-3, 6e-5], rel=0.2)
 
 
 def test_a_mass_at_the_tip_is_found_from_equilibria(arm: TendonArm, wrong: TendonParameters) -> None:

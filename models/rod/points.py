@@ -152,34 +152,11 @@ class PointMass:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add weight m g and inertia -m a at the centre of mass, and the rate of its angular momentum."""
-        if not any(self.offset) and not any(self.inertia):
-            add_mass(motion, loads, self.s, self.mass)
-            return
-        arm = self._arm(motion)
-        if loads.gravity.nnz() > 0:
-            weight = self.mass * loads.gravity
-            loads.add_at(motion, self.s, weight, ca.cross(arm, weight) if arm.nnz() else ca.SX(3, 1))
-        if loads.moving:
-            self._add_inertia(motion, loads, arm)
-
-    def _arm(self, motion: Motion) -> ca.SX:
-        """Centre of mass from the centreline in world axes."""
-        return motion.frame_at(self.s) @ ca.SX(ca.DM(list(self.offset))) if any(self.offset) else ca.SX(3, 1)
-
-    def _add_inertia(self, motion: Motion, loads: Loads, arm: ca.SX) -> None:
-        acceleration, moment = motion.acceleration_at([self.s]), ca.SX(3, 1)
-        if any(self.offset):
-            spin, rate = motion.spin_at([self.s]), motion.spin_rate_at([self.s])
-            acceleration += ca.cross(rate, arm) + ca.cross(spin, ca.cross(spin, arm))
-        force = -self.mass * acceleration
-        if any(self.offset):
-            moment += ca.cross(arm, force)
-        if any(self.inertia):
+        add_mass(motion, loads, self.s, self.mass, self.offset)
+        if loads.moving and any(self.inertia):
             frame, j = motion.frame_at(self.s), ca.SX(ca.DM(list(self.inertia)))
             omega, alpha = frame.T @ motion.spin_at([self.s]), frame.T @ motion.spin_rate_at([self.s])
-            moment -= frame @ (j * alpha + ca.cross(omega, j * omega))
-        loads.add_inertia_at(motion, self.s, force)
-        loads.add_at(motion, self.s, ca.SX(3, 1), moment)
+            loads.add_at(motion, self.s, ca.SX(3, 1), -frame @ (j * alpha + ca.cross(omega, j * omega)))
 
     def describe(self, rod: Any) -> str:
         """Place and mass."""
@@ -188,12 +165,28 @@ class PointMass:
         return f"mass {self.mass:g} kg at s = {self.s:g} m{inertia}{offset}"
 
 
-def add_mass(motion: Motion, loads: Loads, s: float, mass: float | ca.SX) -> None:
-    """Weight and inertia of a mass in kg, a number or an expression, on the centreline at arclength ``s`` in m."""
+def add_mass(
+    motion: Motion, loads: Loads, s: float, mass: float | ca.SX, offset: Sequence[float] = (0.0, 0.0, 0.0)
+) -> None:
+    """Weight and inertia of a mass in kg, a number or an expression, at arclength ``s`` and ``offset`` in m.
+
+    ``offset`` is in the axes of the cross-section.
+    """
+    centred = not any(offset)
+    arm = ca.SX(3, 1) if centred else motion.frame_at(s) @ ca.SX(ca.DM(list(offset)))
     if loads.gravity.nnz() > 0:
-        loads.add_at(motion, s, mass * loads.gravity, ca.SX(3, 1))
-    if loads.moving:
-        loads.add_inertia_at(motion, s, -mass * motion.acceleration_at([s]))
+        weight = mass * loads.gravity
+        loads.add_at(motion, s, weight, ca.SX(3, 1) if centred else ca.cross(arm, weight))
+    if not loads.moving:
+        return
+    acceleration = motion.acceleration_at([s])
+    if not centred:
+        spin, rate = motion.spin_at([s]), motion.spin_rate_at([s])
+        acceleration += ca.cross(rate, arm) + ca.cross(spin, ca.cross(spin, arm))
+    force = -mass * acceleration
+    loads.add_inertia_at(motion, s, force)
+    if not centred:
+        loads.add_at(motion, s, ca.SX(3, 1), ca.cross(arm, force))
 
 
 def _short(values: Sequence[float]) -> str:
