@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from pisplit.dictionary import Dictionary
 from pisplit.edmdc import DirectEDMDc
 from pisplit.episodes import Episodes, Pairs
@@ -16,13 +18,18 @@ class BilinearEDMDc(DirectEDMDc):
     Theta = [Theta_x; u_1 Theta_x; ..; u_m Theta_x]. Options: :class:`pisplit.edmdc.DirectEDMDc`.
     """
 
-    def fit(self, d1: Episodes, pairs: Pairs | None = None, equilibria: Equilibria | None = None) -> BilinearEDMDc:
+    def fit(
+        self,
+        d1: Episodes,
+        pairs: Pairs | None = None,
+        equilibria: Equilibria | None = None,
+        excitation: ArrayLike | None = None,
+    ) -> BilinearEDMDc:
         """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
 
-        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
-        counts as one pair, with the past equal to the present.
+        ``equilibria`` and ``excitation`` as in :meth:`pisplit.edmdc.LinearEDMDc.fit`.
         """
-        self._fit(d1, None, pairs, equilibria)
+        self._fit(d1, None, pairs, equilibria, excitation=excitation)
         return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:

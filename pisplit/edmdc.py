@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import non_negative, one_of, positive
 from pisplit.dictionary import Dictionary
@@ -83,11 +83,20 @@ class DirectEDMDc(Estimator):
 class LinearEDMDc(DirectEDMDc):
     """L-EDMDc: z+ = A z + B phi(u) (paper; Korda and Mezic, Automatica 93, 2018). Options: :class:`DirectEDMDc`."""
 
-    def fit(self, d1: Episodes, pairs: Pairs | None = None, equilibria: Equilibria | None = None) -> LinearEDMDc:
+    def fit(
+        self,
+        d1: Episodes,
+        pairs: Pairs | None = None,
+        equilibria: Equilibria | None = None,
+        excitation: ArrayLike | None = None,
+    ) -> LinearEDMDc:
         """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
 
         ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
         counts as one pair, with the past equal to the present.
+        ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
+        the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
+        three times the magnitude of its quantity in the data (:class:`pisplit.excitation.Excitation`).
         """
-        self._fit(d1, None, pairs, equilibria)
+        self._fit(d1, None, pairs, equilibria, excitation=excitation)
         return self

@@ -6,7 +6,8 @@ import inspect
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,15 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.bounded import bounded
 from pisplit.checks import finite_array, non_negative
+from pisplit.choice import AlphaSearch, Choice, Trial, choose, hold_out, state_weights
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs
 from pisplit.evaluate import RolloutErrors, rollout_errors
-from pisplit.export import lifted_model, operators
+from pisplit.excitation import EXCURSION, Excitation
+from pisplit.export import lifted_model
 from pisplit.lifted import LiftedModel
-from pisplit.moments import accumulate
 from pisplit.phase import PhaseSamples
 from pisplit.scaling import column_scales
-from pisplit.splitting import Solver, SplitContext, SplitFit, Splitting, pair_moments
+from pisplit.splitting import Solver, SplitContext, SplitFit, Splitting, Stiffening, pair_moments
 
 Array = NDArray[np.float64]
 
@@ -31,27 +33,19 @@ _E = TypeVar("_E", bound="Estimator")
 #: Static solutions of the actuated system: x (N, n) and u (N, m).
 Equilibria = tuple[ArrayLike, ArrayLike]
 
-GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
-MAX_HELD_OUT = 4
+GRIDS = {"ridge": np.logspace(-10, 3, 14), "lasso": np.logspace(-6, -1, 6)}
 #: A bound that takes more than 1 % off the spectral radius changes what the model says: fit warns.
 NOTABLE = 1.01
-
-
-@dataclass(frozen=True)
-class AlphaSearch:
-    """alphas (G,) tried, their median squared errors (G,) of held-out roll-outs in scaled states, and the choice."""
-
-    alphas: Array
-    errors: Array
-    chosen: float
-    held_out: tuple[int, ...]
+#: Times that a splitting is made stiffer in search of a model that stays bounded.
+STIFFER = 12
 
 
 class Estimator(ABC):
     """Base of the estimators: a subclass names its options in ``__init__`` and says how K is fitted in ``_splitting``.
 
     After ``fit``: ``lifted`` (LiftedModel), ``K_`` (learned rows of the operator, physical units), ``theta_`` (the
-    dictionary with the names of the data), ``fit_`` (SplitFit), ``alpha_`` and ``cv_`` (None unless alpha="cv").
+    dictionary with the names of the data), ``fit_`` (SplitFit), ``alpha_``, ``cv_`` (None unless alpha="cv") and
+    ``bounded_`` (None unless an excitation was given).
     """
 
     theta: Dictionary
@@ -70,6 +64,7 @@ class Estimator(ABC):
     K_: Array
     alpha_: float
     cv_: AlphaSearch | None
+    bounded_: bool | None
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The options the estimator was made with (``deep`` is scikit-learn's, and changes nothing here)."""
@@ -130,6 +125,7 @@ class Estimator(ABC):
         pairs: Pairs | None,
         equilibria: Equilibria | None,
         simulated: Pairs | None = None,
+        excitation: ArrayLike | None = None,
     ) -> None:
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
@@ -141,9 +137,20 @@ class Estimator(ABC):
         context = self._context(theta, scale, d1.dt, samples)
         splitting = self._splitting(replace(context, equilibria=rest, known=(chosen, moments)))
         more = samples if simulated is None else simulated
-        search = self._search(theta, scale, splitting, d1, chosen, more) if self.alpha == "cv" else None
-        alpha = search.chosen if search else non_negative(self.alpha, "alpha")
-        fit = self._solver(theta, scale, splitting, chosen)(alpha)
+        held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
+        unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
+        base = lifted_model(theta, unlearned, d1, chosen, {}, more)
+        learning = base if held is None or held[0] is chosen else lifted_model(theta, unlearned, d1, held[0], {}, more)
+        exciting = _exciting(excitation, theta, chosen, held, simulated)
+        trial = Trial(theta, scale, chosen, base, held, learning, exciting)
+        choice = self._stiffened(splitting, trial)
+        if choice.bounded is False:
+            warnings.warn(
+                f"no model that was tried stays bounded under the excitation (states within {EXCURSION:g} times the "
+                "data's range); give more data or a larger alpha",
+                stacklevel=3,
+            )
+        fit, search = choice.fit, choice.search
         radius = float(fit.details.get("unbounded_radius", 0.0))
         if self.max_radius is not None and radius > NOTABLE * self.max_radius:
             warnings.warn(
@@ -153,51 +160,68 @@ class Estimator(ABC):
         provenance = {
             "estimator": type(self).__name__,
             "options": {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float | None)},
-            "alpha": alpha,
+            "alpha": choice.alpha,
             "dictionary": theta.fingerprint(),
             "pairs": len(chosen),
             "equilibria": 0 if rest is None else len(rest[0]),
+            "bounded": choice.bounded,
             "details": dict(fit.details),
             "data": dict(d1.provenance or {}),
         }
-        self.lifted = lifted_model(theta, fit.K, d1, chosen, provenance, more)
-        self.theta_, self.fit_, self.K_, self.alpha_, self.cv_ = theta, fit, fit.K, alpha, search
+        self.lifted = replace(trial.model(fit.K), provenance=provenance)
+        self.theta_, self.fit_, self.K_ = theta, fit, fit.K
+        self.alpha_, self.cv_, self.bounded_ = choice.alpha, search, choice.bounded
 
-    def _solver(self, theta: Dictionary, scale: Array, splitting: Splitting, pairs: Pairs) -> Solver:
+    def _stiffened(self, splitting: Splitting, trial: Trial) -> Choice:
+        """The choice; where what rolls out best does not stay bounded, splittings that can be stiffer are tried too.
+
+        They are made stiffer as long as nothing is bounded, or the bounded choice still gets better by it.
+        """
+        best = self._chosen(splitting, trial)
+        last = best
+        for _ in range(STIFFER):
+            if not last.refused or not isinstance(splitting, Stiffening):
+                break
+            splitting = splitting.stiffer()
+            last = self._chosen(splitting, trial)
+            if last.rank < best.rank:
+                best = last
+            elif best.bounded:
+                break
+        return best
+
+    def _chosen(self, splitting: Splitting, trial: Trial) -> Choice:
+        """alpha, and the fit to all pairs."""
+        solve, search = self._solver(splitting, trial, trial.pairs), None
+        if trial.held is None:
+            alpha = non_negative(self.alpha, "alpha")
+        else:
+            search = self._search(splitting, solve, trial)
+            alpha = search.chosen
+        fit = solve(alpha)
+        return Choice(fit, alpha, search, None if trial.excitation is None else trial.bounds(fit.K))
+
+    def _solver(self, splitting: Splitting, trial: Trial, pairs: Pairs) -> Solver:
         solve = splitting.solver(pairs)
-        return solve if self.max_radius is None else bounded(solve, theta, scale, self.max_radius)
+        return cache(solve if self.max_radius is None else bounded(solve, trial.theta, trial.scale, self.max_radius))
 
-    def _search(
-        self,
-        theta: Dictionary,
-        scale: Array,
-        splitting: Splitting,
-        d1: Episodes,
-        pairs: Pairs,
-        samples: PhaseSamples | Pairs | None,
-    ) -> AlphaSearch:
+    def _search(self, splitting: Splitting, solve: Solver, trial: Trial) -> AlphaSearch:
         """Fit on all but a few training episodes, roll these out, choose alpha by the median error."""
+        assert trial.held is not None
+        training, held, names = trial.held
         default = getattr(splitting, "alphas", GRIDS[self.penalty])
         grid = np.array(default if self.alphas is None else self.alphas, dtype=np.float64)
-        training, held, names = _hold_out(d1, pairs, theta.n_delays)
-        solve = self._solver(theta, scale, splitting, training)
-        weights = _state_weights(theta, pairs)
-        unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
-        base = lifted_model(theta, unlearned, d1, training, {}, samples)
-        errors = np.array([self._held_out_error(base, theta, solve(a).K, held, weights) for a in grid])
-        best = int(np.argmin(errors))
-        admissible = np.flatnonzero(errors <= (1.0 + self.cv_tolerance) * errors[best])
-        best = int(admissible[np.argmax(grid[admissible])]) if len(admissible) else best
-        if not np.isfinite(errors[best]):
-            best = int(np.argmax(grid))
-            warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {grid[best]:g}", stacklevel=4)
-        return AlphaSearch(alphas=grid, errors=errors, chosen=float(grid[best]), held_out=names)
+        if training is not trial.pairs:
+            trial, solve = replace(trial, base=trial.learning), self._solver(splitting, trial, training)
+        weights = state_weights(trial.theta, trial.pairs)
+        errors = np.array([self._held_out_error(trial, solve(a).K, held, weights) for a in grid.tolist()])
+        return choose(grid, errors, self.cv_tolerance, names, lambda alpha: trial.bounds(solve(alpha).K))
 
-    def _held_out_error(self, base: LiftedModel, theta: Dictionary, k: Array, held: Episodes, weights: Array) -> float:
-        """Median error of held-out roll-outs with the dynamics ``k`` and the read-out of ``base``."""
+    def _held_out_error(self, trial: Trial, k: Array, held: Episodes, weights: Array) -> float:
+        """Median error of roll-outs of held-out episodes with the dynamics ``k``."""
         if not np.isfinite(k).all():
             return np.inf
-        return rollout_errors(replace(base, **operators(theta, k)), held, self.cv_states, weights).median
+        return rollout_errors(trial.model(k), held, self.cv_states, weights).median
 
     def _fitted(self) -> LiftedModel:
         if not hasattr(self, "lifted"):
@@ -222,36 +246,18 @@ def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
     return states, finite_array(equilibria[1], "u of equilibria", (len(states), theta.n_inputs))
 
 
-def _hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:
-    """Training pairs, held-out episodes and their numbers.
-
-    Episodes with the fewest training pairs are held out, later ones first: drawn pairs stay in use where possible, and
-    episodes without any cost nothing.
-    A single episode is cut in time: its last third is held out.
-    """
-    if len(d1) == 1:
-        steps = len(d1.us[0])
-        cut = max(int(np.quantile(pairs.index, 2 / 3)), delays + 1)
-        training = pairs.take(pairs.index < cut)
-        if len(training) == 0 or steps - cut <= delays:
-            raise ValueError("alpha='cv' needs more data: one episode is too short to hold out its end; give alpha")
-        held = Episodes([d1.xs[0][cut:]], [d1.us[0][cut:]], d1.dt)
-        return training, held, (0,)
-    numbers = np.bincount(pairs.episode, minlength=len(d1))
-    long_enough = [i for i in range(len(d1)) if len(d1.us[i]) > delays]
-    order = sorted(long_enough, key=lambda i: (numbers[i], -i))
-    unused = sum(numbers[i] == 0 for i in order)
-    names = tuple(sorted(order[: min(MAX_HELD_OUT, max(1, len(order) // 5, unused))]))
-    training = pairs.take(~np.isin(pairs.episode, names))
-    if len(training) == 0:
-        raise ValueError("alpha='cv' has no pairs left beside the held-out episodes; give more episodes, or alpha")
-    return training, d1.subset(names), names
-
-
-def _state_weights(theta: Dictionary, pairs: Pairs) -> Array:
-    """1 / scale (n,) of every state by physical quantity, so that held-out errors of different units add up."""
-    std = accumulate(block.x for block in pairs.blocks()).std
-    return 1.0 / column_scales(std, theta.names.quantities)
+def _exciting(
+    inputs: ArrayLike | None,
+    theta: Dictionary,
+    pairs: Pairs,
+    held: tuple[Pairs, Episodes, tuple[int, ...]] | None,
+    simulated: Pairs | None,
+) -> Excitation | None:
+    """The excitation, from states of all data that this fit may know."""
+    if inputs is None:
+        return None
+    data = [pairs, *([held[1].pairs(theta.n_delays)] if held else []), *([simulated] if simulated is not None else [])]
+    return Excitation.of(inputs, data, theta.names.quantities)
 
 
 def _history(history: Any, theta: Dictionary) -> tuple[Array, Array | None]:

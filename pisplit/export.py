@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pisplit.dictionary import Dictionary
 from pisplit.episodes import Episodes, Pairs, excited_directions
+from pisplit.excitation import state_range
 from pisplit.lifted import LiftedModel
 from pisplit.moments import accumulate
 from pisplit.phase import PhaseSamples
@@ -53,7 +54,7 @@ def lifted_model(
         feature_names=theta.feature_names,
         input_offset=mean,
         input_basis=basis,
-        state_range=_state_range(theta, pairs),
+        state_range=state_range(pairs, theta.names.quantities),
         outputs={name: tuple(group) for name, group in (episodes.outputs or {}).items()},
         provenance=dict(provenance),
     )
@@ -105,12 +106,3 @@ def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | Pairs | N
     read = np.zeros((theta.n_states, theta.n_lifted))
     read[:, columns] = fit
     return read, moments.mean[size:] - fit @ moments.mean[:size]
-
-
-def _state_range(theta: Dictionary, pairs: Pairs) -> Array:
-    """Largest training magnitude (n,) of each state's quantity; 1 for a quantity that is always zero."""
-    largest = np.maximum(np.abs(pairs.x).max(axis=0), np.abs(pairs.x_next).max(axis=0))
-    labels = np.array(theta.names.quantities)
-    pooled = np.array([largest[labels == label].max() for label in labels])
-    pooled[pooled == 0.0] = 1.0
-    return pooled

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pisplit.balanced import Balanced
 from pisplit.checks import non_negative, one_of, positive
@@ -116,16 +116,24 @@ class PIEDMDc(Estimator):
         self.options = options
 
     def fit(
-        self, d1: Episodes, d2: PhaseSamples, pairs: Pairs | None = None, equilibria: Equilibria | None = None
+        self,
+        d1: Episodes,
+        d2: PhaseSamples,
+        pairs: Pairs | None = None,
+        equilibria: Equilibria | None = None,
+        excitation: ArrayLike | None = None,
     ) -> PIEDMDc:
         """Fit to the phase samples d2 and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
 
         ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
         counts as one pair, with the past equal to the present.
+        ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
+        the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
+        three times the magnitude of its quantity in the data (:class:`pisplit.excitation.Excitation`).
         """
         if not isinstance(d2, PhaseSamples):
             raise ValueError(f"d2 is a {type(d2).__name__}; expected PhaseSamples of the known vector field")
-        self._fit(d1, d2, pairs, equilibria)
+        self._fit(d1, d2, pairs, equilibria, excitation=excitation)
         return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,17 @@ class Splitting(Protocol):
 
     def solver(self, pairs: Pairs) -> Solver:
         """A function alpha -> fit for these pairs."""
+
+
+@runtime_checkable
+class Stiffening(Protocol):
+    """A splitting whose own regularisation can be raised."""
+
+    def solver(self, pairs: Pairs) -> Solver:
+        """A function alpha -> fit for these pairs."""
+
+    def stiffer(self) -> Splitting:
+        """The same with ten times the regularisation."""
 
 
 def pair_moments(theta: Dictionary, pairs: Pairs, equilibria: tuple[Array, Array] | None = None) -> Moments:

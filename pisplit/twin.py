@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import non_negative, positive
 from pisplit.dictionary import Dictionary
@@ -43,6 +44,7 @@ class TwinEDMDc(Estimator):
     """
 
     penalty = "ridge"
+    twin_alpha_: float
 
     def __init__(
         self,
@@ -71,12 +73,18 @@ class TwinEDMDc(Estimator):
         self.max_radius = max_radius
 
     def fit(
-        self, d1: Episodes, twin: Episodes, pairs: Pairs | None = None, equilibria: Equilibria | None = None
+        self,
+        d1: Episodes,
+        twin: Episodes,
+        pairs: Pairs | None = None,
+        equilibria: Equilibria | None = None,
+        excitation: ArrayLike | None = None,
     ) -> TwinEDMDc:
         """Fit to trajectories of the twin and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
 
-        ``twin`` has the states, inputs and dt of ``d1``. ``equilibria`` as in LinearEDMDc. To fit the twin alone, give
-        its episodes to LinearEDMDc or BilinearEDMDc.
+        ``twin`` has the states, inputs and dt of ``d1``. ``equilibria`` and ``excitation`` as in LinearEDMDc; where the
+        alpha that rolls out best does not stay bounded, larger mu are tried too (``twin_alpha_`` is the one that was
+        taken). To fit the twin alone, give its episodes to LinearEDMDc or BilinearEDMDc.
         """
         if not isinstance(twin, Episodes):
             raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")
@@ -84,9 +92,10 @@ class TwinEDMDc(Estimator):
             _check_alike(d1, twin)
         self._twin = twin.pairs(self.theta.n_delays)
         try:
-            self._fit(d1, None, pairs, equilibria, self._twin)
+            self._fit(d1, None, pairs, equilibria, self._twin, excitation)
         finally:
             del self._twin  # a fitted model keeps none of its data
+        self.twin_alpha_ = float(self.fit_.details["twin_alpha"])
         return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:
@@ -137,6 +146,7 @@ class Fusion:
             self.shift[self.constant] = 0.0
         self.twin = self._means(moments)
         variance = float(np.mean((moments.std[:size] / self.scale)[~self.omitted] ** 2))
+        self.twin_alpha = twin_alpha
         self.ridge = np.sqrt(twin_alpha * (variance or 1.0)) * np.eye(size)
         if self.constant is not None:
             self.ridge[self.constant] = 0.0
@@ -155,9 +165,16 @@ class Fusion:
             k = scipy.linalg.solve_triangular(triangle, target).T
             if self.constant is not None:
                 k[:, self.constant] -= k @ self.shift
-            return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=len(triangle))
+            details = {"twin_alpha": self.twin_alpha}
+            return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=len(triangle), details=details)
 
         return solve
+
+    def stiffer(self) -> Fusion:
+        """The same with ten times the ridge mu."""
+        found = copy(self)
+        found.twin_alpha, found.ridge = 10.0 * self.twin_alpha, np.sqrt(10.0) * self.ridge
+        return found
 
     def _means(self, moments: Moments) -> tuple[Array, Array]:
         """Rows of scaled columns about the twin's mean, and of their successors, whose squares are means of samples."""

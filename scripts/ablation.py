@@ -30,6 +30,8 @@ from pisplit.models.tendon_arm import TendonArm
 
 MAIN = "paper arm"
 BASELINES = ("L-EDMDc", "B-EDMDc")
+#: The same, chosen among models that stay bounded under the inputs the twin's must stay bounded under.
+BOUNDED = ("L-EDMDc, bounded", "B-EDMDc, bounded")
 INFORMED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq")
 OURS = "PI twin"
 #: Scenarios beside the main one, and the methods they run.
@@ -118,13 +120,14 @@ def judge(table: Table, report: Report) -> None:
     """Figures with their targets, as far as the cells for them were run."""
     sizes = sorted({size for law, method, size in table if (law, method) == (MAIN, OURS)})
     median = {(method, size): s.median for (law, method, size), s in table.items() if law == MAIN}
+    rivals = (*BASELINES, *(method for method in BOUNDED if any(method == key[1] for key in table)))
     for size, factor in ((16, 50.0), (64, 20.0), (128, 10.0)):
-        _record(report, f"best baseline over PI twin, {size} pairs", gain(table, MAIN, size, BASELINES), ">=", factor)
+        _record(report, f"best baseline over PI twin, {size} pairs", gain(table, MAIN, size, rivals), ">=", factor)
     _record(report, "informed baselines over PI twin, 8 pairs", gain(table, MAIN, 8, INFORMED), ">=", 5.0)
     gains = [g for size in sizes if (g := gain(table, MAIN, size, INFORMED)) is not None]
     _record(report, "informed baselines over PI twin, worst size", min(gains, default=None), ">=", 1.0 / 1.05)
-    every = [median[b, max(sizes)] for b in BASELINES if sizes and (b, max(sizes)) in median]
-    if (OURS, 16) in median and len(every) == len(BASELINES):
+    every = [median[b, max(sizes)] for b in rivals if sizes and (b, max(sizes)) in median]
+    if (OURS, 16) in median and len(every) == len(rivals):
         ratio = median[OURS, 16] / min(every)
         _record(report, "PI twin at 16 pairs over the best baseline with all", ratio, "<=", 1.0)
     for above, below, name, bound in (

@@ -27,7 +27,7 @@ COLOURS = {
     "PI Strang": "black",
     "PI balanced": "tab:gray",
 }
-MARKERS = {"one recording": "^", "no pairs": "*", "tendons from pairs": "D"}
+MARKERS = {"bounded": "v", "one recording": "^", "no pairs": "*", "tendons from pairs": "D"}
 LABELS = {"shape": "squared shape error (m$^2$)", "velocity": "squared tip velocity error (m$^2$/s$^2$)"}
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arm_scenarios import NOISE, STATIONS, STEPS, Scenario, coordinates, equilibria, scenarios
+from arm_scenarios import NOISE, STATIONS, STEPS, Scenario, coordinates, equilibria, excitation, scenarios
 from paper_data import DT
 from paper_protocol import HELD_OUT, HISTORY, Draw, Lifted, Method, Prediction, Predictor, contiguous
 
@@ -72,6 +72,8 @@ def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str,
     found: dict[str, Callable[[Draw], Predictor]] = {
         "L-EDMDc": Tuned(LinearEDMDc, linear_dictionaries),
         "B-EDMDc": Tuned(BilinearEDMDc, bilinear_dictionaries),
+        "L-EDMDc, bounded": Tuned(LinearEDMDc, linear_dictionaries, bounded=True),
+        "B-EDMDc, bounded": Tuned(BilinearEDMDc, bilinear_dictionaries, bounded=True),
         "L-EDMDc, rod + x_eq": RodCoordinates(LinearEDMDc, seed),
         "B-EDMDc, rod + x_eq": RodCoordinates(BilinearEDMDc, seed),
         "PI Strang": Splitting("strang", seed),
@@ -112,17 +114,24 @@ def _fields(draw: Draw, *extra: Any) -> Dictionary:
 
 @dataclass(frozen=True)
 class Tuned:
-    """An estimator with several dictionaries; dictionary and alpha by roll-outs of the held-out episodes."""
+    """An estimator with several dictionaries; dictionary and alpha by roll-outs of the held-out episodes.
+
+    ``bounded``: among those that stay bounded under inputs of the scenario's law, as the twin is chosen.
+    """
 
     estimator: Callable[..., Any]
     dictionaries: Callable[[Draw], Sequence[Dictionary]]
+    bounded: bool = False
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs of a draw."""
         small = compact(draw)
         fits = [
             _quietly(
-                self.estimator(theta, alpha="cv", cv_states="shape").fit, small.episodes, small.pairs(theta.n_delays)
+                self.estimator(theta, alpha="cv", cv_states="shape").fit,
+                small.episodes,
+                small.pairs(theta.n_delays),
+                excitation=excitation(draw.law) if self.bounded else None,
             )
             for theta in self.dictionaries(small)
         ]
@@ -214,7 +223,8 @@ class TwinMethod:
         """Fit to the pairs of a draw."""
         scenario, small = scenarios()[draw.law], compact(draw)
         calibration = self._calibrated(scenario, small)
-        twin, dictionaries = _twin_of(self._simulated(calibration, scenario), self.episodes)
+        twin, dictionaries = _twin_of(self._simulated(calibration, scenario), self.episodes, scenario.name)
+        inputs = excitation(scenario.name)
         fits = []
         if self.use_pairs and len(draw) >= DELAYED_FROM:
             dictionaries = [*dictionaries, (twin_dictionary(twin, 0, 0, DELAYS), PLAIN[-1])]
@@ -223,9 +233,10 @@ class TwinMethod:
                 fit = TwinEDMDc(
                     theta, "cv", ridge, omit=OMIT, alphas=TWIN_WEIGHTS, cv_states="shape", cv_tolerance=CV_TOLERANCE
                 )
-                fits.append(_quietly(fit.fit, small.episodes, twin, small.pairs(theta.n_delays)))
+                pairs = small.pairs(theta.n_delays)
+                fits.append(_quietly(fit.fit, small.episodes, twin, pairs, excitation=inputs))
             else:
-                fits.append(twin_alone(theta, ridge, twin))
+                fits.append(_quietly(twin_alone, theta, ridge, twin, inputs))
         return Lifted((_best(fits) if self.use_pairs else fits[-1]).lifted)
 
     def _calibrated(self, scenario: Scenario, draw: Draw) -> Calibration:
@@ -327,24 +338,31 @@ def _errors(scenario: Scenario) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=8)
-def _twin_of(path: Path, episodes: int) -> tuple[Episodes, list[tuple[Dictionary, float]]]:
+def _twin_of(path: Path, episodes: int, name: str) -> tuple[Episodes, list[tuple[Dictionary, float]]]:
     """The first episodes of a twin and the dictionaries that suit them."""
     twin = Episodes.load(path)[:episodes]
-    return twin, twin_dictionaries(twin)
+    return twin, twin_dictionaries(twin, excitation(name))
 
 
-def twin_dictionaries(twin: Episodes) -> list[tuple[Dictionary, float]]:
-    """The plain dictionary and the rich one that rolls out held-out episodes of the twin best, with their ridges."""
+def twin_dictionaries(twin: Episodes, inputs: Array) -> list[tuple[Dictionary, float]]:
+    """The plain dictionary and the rich one that rolls out held-out episodes of the twin best, with their ridges.
+
+    Ridges are raised until models stay bounded under ``inputs`` (E, T, m).
+    """
     out = max(1, min(TWIN_HELD_OUT, len(twin) // 4))
     training, held = twin[:-out], twin[-out:]
-    errors = {}
+    found: dict[tuple[int, int, float], tuple[bool, float, float]] = {}
     for number, centres, ridge in RICH:
         if ROWS_PER_CENTRE * centres > len(training.stacked_inputs()[::THINNED]):
             continue
-        fit = _quietly(twin_alone, twin_dictionary(training, number, centres), ridge, training)
-        errors[number, centres, ridge] = fit.score(held, "shape").median
-    best = min(errors, key=lambda key: np.nan_to_num(errors[key], nan=np.inf))
-    return [(twin_dictionary(twin, number, centres), ridge) for number, centres, ridge in (PLAIN, best)]
+        fit = _quietly(twin_alone, twin_dictionary(training, number, centres), ridge, training, inputs)
+        error = np.nan_to_num(fit.score(held, "shape").median, nan=np.inf)
+        found[number, centres, ridge] = not fit.bounded_, error, fit.twin_alpha_
+    number, centres, _ = best = min(found, key=lambda key: found[key][:2])
+    return [
+        (twin_dictionary(twin, *PLAIN[:2]), PLAIN[-1]),
+        (twin_dictionary(twin, number, centres), found[best][-1]),
+    ]
 
 
 def twin_dictionary(twin: Episodes, number: int, centres: int, delays: int = 0) -> Dictionary:
@@ -367,9 +385,9 @@ def twin_dictionary(twin: Episodes, number: int, centres: int, delays: int = 0) 
     )
 
 
-def twin_alone(theta: Dictionary, ridge: float, twin: Episodes) -> TwinEDMDc:
-    """The model of the twin: recorded pairs have no weight."""
-    return TwinEDMDc(theta, alpha=1e8, twin_alpha=ridge, omit=OMIT).fit(twin[:1], twin)
+def twin_alone(theta: Dictionary, ridge: float, twin: Episodes, inputs: Array) -> TwinEDMDc:
+    """The model of the twin, bounded under ``inputs``: recorded pairs have no weight."""
+    return TwinEDMDc(theta, alpha=1e8, twin_alpha=ridge, omit=OMIT).fit(twin[:1], twin, excitation=inputs)
 
 
 @lru_cache(maxsize=32)
@@ -415,11 +433,12 @@ def compact(draw: Draw) -> Draw:
 
 
 def _best(fits: Sequence[Any]) -> Any:
-    return min(fits, key=lambda fit: np.nan_to_num(float(np.min(fit.cv_.errors)), nan=np.inf))
+    """The fit that rolls held-out episodes out best, among those that stay bounded if there are any."""
+    return min(fits, key=lambda fit: (not fit.bounded_, np.nan_to_num(fit.cv_.error, nan=np.inf)))
 
 
-def _quietly(fit: Callable[..., Any], *arguments: Any) -> Any:
+def _quietly(fit: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Fit without warnings: divergence on a grid of alphas is what cross-validation is for."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        return fit(*arguments)
+        return fit(*arguments, **options)

@@ -22,6 +22,7 @@ from pisplit.models.generation import (
     make_episodes,
     make_phase_samples,
     phase_origin,
+    random_displacements,
     random_targets,
 )
 from pisplit.models.tendon_arm import TendonArm
@@ -31,6 +32,9 @@ STEPS, STATIONS = 200, 6
 PHASE_SAMPLES = 2000
 #: Equilibria of the actuated arm that methods may know; their seed differs from those of the trajectories.
 EQUILIBRIA, EQUILIBRIA_SEED = 16, 4711
+#: Displacements of a scenario's law that a model has to stay bounded under, twice as long as the recordings: how many
+#: sequences, and their seed. Nobody records what the arm does under them.
+EXCITATIONS, EXCITATION_STEPS, EXCITATION_SEED = 64, 2 * STEPS, 2_000_003
 #: Noise: positions in m, rotations in rad, velocities and curvatures as parts of their deviation.
 NOISE = {"p": 1e-3, "R": np.deg2rad(1.0), "rates": 0.05}
 #: Further levels of noise, as factors of it.
@@ -191,6 +195,14 @@ def equilibria(name: str, seed: int) -> tuple[Array, Array]:
     found = scenario.arm.scene.field_map(STATIONS)
     still = Episodes([fields], [u[1:]], DT, quantities=found.quantities)
     return u, noisy(still, scenario.noise, seed + 1).xs[0]
+
+
+@lru_cache(maxsize=16)
+def excitation(name: str) -> Array:
+    """Displacements (64, 400, m) in m that the arm of a scenario is meant for."""
+    scenario, rng = scenarios()[name], np.random.default_rng(EXCITATION_SEED)
+    moves = [random_displacements(scenario.known, EXCITATION_STEPS, rng, scenario.law) for _ in range(EXCITATIONS)]
+    return np.stack(moves)
 
 
 def coordinates(arm: TendonArm, fields: Array) -> Array:

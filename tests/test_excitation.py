@@ -1,0 +1,124 @@
+"""Excitation: models that do not stay bounded under inputs they are made for are not chosen."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, TwinEDMDc
+from pisplit import observables as ob
+from pisplit.choice import choose
+from pisplit.evaluate import rollout_errors
+from pisplit.excitation import EXCURSION, Excitation
+
+STABLE = np.array([[0.95, 0.10], [-0.08, 0.90]])
+B = np.array([[0.0], [0.3]])
+ALPHAS = np.array([1e-4, 1e-2, 1.0, 100.0])
+
+
+def inputs(n, steps, seed):
+    return np.random.default_rng(seed).uniform(-1, 1, (n, steps, 1))
+
+
+def episodes(n=6, steps=40, seed=0, noise=0.0, a=STABLE, curved=0.0):
+    """x+ = A x + B u - curved x^3."""
+    rng = np.random.default_rng(seed)
+    xs, us = [], inputs(n, steps, seed + 100)
+    for u in us:
+        x = [0.5 * rng.standard_normal(2)]
+        for k in range(steps):
+            x.append(a @ x[-1] + B @ u[k] - curved * x[-1] ** 3)
+        xs.append(np.array(x) + noise * rng.standard_normal((steps + 1, 2)))
+    return Episodes(xs, list(us), 0.1)
+
+
+def theta():
+    return Dictionary(ob.Constant(), ob.States(), ob.Inputs(), n_states=2, n_inputs=1)
+
+
+def rich():
+    return Dictionary(ob.Constant(), ob.States(), ob.Polynomials(4), ob.Inputs(), ob.Bilinear(), n_states=2, n_inputs=1)
+
+
+def test_a_stable_model_is_bounded_and_an_unstable_one_is_not():
+    d1, us = episodes(), inputs(8, 200, 7)
+    model = LinearEDMDc(theta()).fit(d1).lifted
+    excitation = Excitation.of(us, [d1.pairs()], ("a", "b"))
+    assert excitation.bounds(model)
+    wild = LinearEDMDc(theta()).fit(episodes(a=1.12 * STABLE, steps=20)).lifted
+    assert not excitation.bounds(wild)
+
+
+def test_the_limit_is_three_times_the_data_of_a_quantity_and_a_start_is_where_the_input_is_alike():
+    x, u = np.array([[0.0, 1.0], [2.0, -5.0], [0.0, 0.0]]), np.array([[0.1], [0.9]])
+    pairs = Episodes([x], [u], 0.1).pairs()
+    alone = Excitation.of(np.full((1, 4, 1), 0.8), [pairs], ("a", "b"))
+    assert_array_equal(alone.limit, EXCURSION * np.array([2.0, 5.0]))
+    assert_array_equal(alone.x_history[0, 0], x[1])
+    assert_array_equal(Excitation.of(np.zeros((1, 4, 1)), [pairs], ("a", "a")).limit, 5.0 * EXCURSION)
+
+
+def test_the_first_alpha_in_order_of_preference_that_stays_bounded_is_taken():
+    errors = np.array([4.0, 1.0, 1.04, 3.0])
+    assert choose(ALPHAS, errors, 0.0, ()).chosen == 1e-2
+    assert choose(ALPHAS, errors, 0.05, ()).chosen == 1.0
+    found = choose(ALPHAS, errors, 0.05, (), lambda alpha: alpha > 10.0)
+    assert (found.chosen, found.unbounded, found.error) == (100.0, (1e-2, 1.0), 3.0)
+    tried = []
+    choose(ALPHAS, errors, 0.0, (), lambda alpha: bool(tried.append(alpha)) or len(tried) == 2)
+    assert tried == [1e-2, 1.0]  # nothing is rolled out that is not asked for
+
+
+def test_where_nothing_stays_bounded_errors_alone_decide_and_all_are_named():
+    found = choose(ALPHAS, np.array([4.0, 1.0, np.inf, 3.0]), 0.0, (), lambda alpha: False)
+    assert (found.chosen, found.unbounded) == (1e-2, (1e-4, 1e-2, 100.0))
+    with pytest.warns(UserWarning, match="every alpha of the grid diverged"):
+        assert choose(ALPHAS, np.full(4, np.inf), 0.0, ()).chosen == 100.0
+
+
+@pytest.mark.parametrize("estimator", [LinearEDMDc, BilinearEDMDc])
+def test_an_excitation_that_the_choice_survives_changes_nothing(estimator):
+    d1, us = episodes(noise=0.02), inputs(8, 200, 7)
+    free, asked = (estimator(theta(), alpha="cv").fit(d1, excitation=e) for e in (None, us))
+    assert (free.bounded_, asked.bounded_) == (None, True)
+    assert_array_equal(free.K_, asked.K_)
+    assert free.alpha_ == asked.alpha_
+
+
+def test_small_twins_with_rich_dictionaries_diverge_unless_an_excitation_is_given():
+    test, us = episodes(n=20, steps=100, seed=50, curved=0.05), inputs(32, 200, 9)
+    diverged = {"free": 0.0, "asked": 0.0}
+    for seed in range(5):
+        twin = episodes(n=2, steps=12, seed=seed, curved=0.05, noise=0.02)
+        d1 = episodes(n=2, steps=15, seed=seed + 20, curved=0.05)
+        for name, e in (("free", None), ("asked", us)):
+            fitted = TwinEDMDc(rich(), alpha=1.0, twin_alpha=1e-8).fit(d1, twin, excitation=e)
+            diverged[name] += rollout_errors(fitted.lifted, test).diverged_fraction / 5
+        assert fitted.bounded_ and fitted.twin_alpha_ > 1e-8
+        assert fitted.lifted.provenance["bounded"] is True
+    assert diverged["free"] > 0.5
+    assert diverged["asked"] == 0.0
+
+
+def test_the_smallest_ridge_that_helps_is_taken_when_alpha_is_given():
+    d1, twin, us = episodes(), episodes(seed=1), inputs(8, 200, 7)
+    fitted = TwinEDMDc(theta(), alpha=1.0, twin_alpha=1e-9).fit(d1, twin, excitation=us)
+    assert fitted.twin_alpha_ == 1e-9
+
+
+def test_an_unstable_plant_is_reported_and_kept():
+    d1 = episodes(a=1.12 * STABLE, steps=20)
+    with pytest.warns(UserWarning, match="no model that was tried stays bounded"):
+        fitted = LinearEDMDc(theta(), alpha=1e-9).fit(d1, excitation=inputs(4, 400, 3))
+    assert fitted.bounded_ is False
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert_array_equal(LinearEDMDc(theta(), alpha=1e-9).fit(d1).K_, fitted.K_)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((4, 1)), np.zeros((4, 10, 2)), np.zeros((0, 10, 1)), [[[np.nan]]]])
+def test_an_excitation_of_another_shape_is_refused_in_one_line(wrong):
+    with pytest.raises(ValueError, match="excitation") as found:
+        LinearEDMDc(theta()).fit(episodes(), excitation=wrong)
+    assert "\n" not in str(found.value)
