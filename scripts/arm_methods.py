@@ -58,7 +58,8 @@ TWIN_HELD_OUT = 6
 THINNED, ROWS_PER_CENTRE = 7, 4
 #: Weights of the twin to choose from.
 TWIN_WEIGHTS = tuple(np.logspace(-6, 4, 6).tolist())
-#: Where held-out roll-outs hardly tell weights apart, as noisy ones do, the twin gets the larger one.
+#: Where held-out roll-outs hardly tell weights apart, as noisy ones do, the twin gets the larger one; where they hardly
+#: tell dictionaries apart, the smallest is taken.
 CV_TOLERANCE = 0.05
 #: Strains v of a backbone without shear and stretch are axial forces in the seventh digit: they predict nothing.
 OMIT = ("v",)
@@ -237,7 +238,7 @@ class TwinMethod:
                 fits.append(_quietly(fit.fit, small.episodes, twin, pairs, excitation=inputs))
             else:
                 fits.append(_quietly(twin_alone, theta, ridge, twin, inputs))
-        return Lifted((_best(fits) if self.use_pairs else fits[-1]).lifted)
+        return Lifted((_best(fits, CV_TOLERANCE) if self.use_pairs else fits[-1]).lifted)
 
     def _calibrated(self, scenario: Scenario, draw: Draw) -> Calibration:
         """The arm by what is known of it.
@@ -432,9 +433,15 @@ def compact(draw: Draw) -> Draw:
     return replace(draw, episodes=draw.episodes.subset(kept), rows=rows)
 
 
-def _best(fits: Sequence[Any]) -> Any:
-    """The fit that rolls held-out episodes out best, among those that stay bounded if there are any."""
-    return min(fits, key=lambda fit: (not fit.bounded_, np.nan_to_num(fit.cv_.error, nan=np.inf)))
+def _best(fits: Sequence[Any], tolerance: float = 0.0) -> Any:
+    """The fit that rolls held-out episodes out best, among those that stay bounded if there are any.
+
+    Of those within ``tolerance`` of the smallest error it is the one with the fewest columns.
+    """
+    bounded = [fit for fit in fits if fit.bounded_ is not False] or list(fits)
+    errors = [float(np.nan_to_num(fit.cv_.error, nan=np.inf)) for fit in bounded]
+    level = [fit for fit, error in zip(bounded, errors, strict=True) if error <= (1.0 + tolerance) * min(errors)]
+    return min(level, key=lambda fit: fit.theta_.n_columns)
 
 
 def _quietly(fit: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
