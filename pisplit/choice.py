@@ -29,6 +29,7 @@ class AlphaSearch:
 
     held_out   numbers of the episodes that were held out
     unbounded  alphas that were passed over: their models do not stay bounded under the excitation
+    bounded    whether that of the choice does; None if nobody asked
     """
 
     alphas: Array
@@ -36,6 +37,7 @@ class AlphaSearch:
     chosen: float
     held_out: tuple[int, ...]
     unbounded: tuple[float, ...] = ()
+    bounded: bool | None = None
 
     @property
     def error(self) -> float:
@@ -106,18 +108,24 @@ def choose(
     """
     left = errors.copy()
     while np.isfinite(left).any():
-        smallest = float(left.min())
-        best = max(np.flatnonzero(left <= (1.0 + tolerance) * smallest), key=lambda i: alphas[i])
+        best = _preferred(alphas, left, tolerance)
         if bounded is None or bounded(float(alphas[best])):
-            passed = tuple(float(a) for a in alphas[np.isinf(left) & np.isfinite(errors)])
-            return AlphaSearch(alphas, errors, float(alphas[best]), held_out, passed)
+            passed = tuple(alphas[np.isinf(left) & np.isfinite(errors)].tolist())
+            return AlphaSearch(alphas, errors, float(alphas[best]), held_out, passed, None if bounded is None else True)
         left[best] = np.inf
-    if bounded is not None and np.isfinite(errors).any():
-        found = choose(alphas, errors, tolerance, held_out)
-        return AlphaSearch(alphas, errors, found.chosen, held_out, tuple(float(a) for a in alphas[np.isfinite(errors)]))
+    tried = tuple(alphas[np.isfinite(errors)].tolist())
+    if tried:
+        best = _preferred(alphas, errors, tolerance)
+        return AlphaSearch(alphas, errors, float(alphas[best]), held_out, tried, False)
     last = float(alphas.max())
-    warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {last:g}", stacklevel=5)
-    return AlphaSearch(alphas, errors, last, held_out)
+    warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {last:g}", stacklevel=7)
+    return AlphaSearch(alphas, errors, last, held_out, tried, None if bounded is None else bounded(last))
+
+
+def _preferred(alphas: Array, errors: Array, tolerance: float) -> int:
+    """Position of the largest alpha within ``tolerance`` of the smallest error."""
+    level = np.flatnonzero(errors <= (1.0 + tolerance) * errors.min())
+    return int(level[np.argmax(alphas[level])])
 
 
 def hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:

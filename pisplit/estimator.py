@@ -132,16 +132,16 @@ class Estimator(ABC):
         theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
         rest = None if equilibria is None else _resting(equilibria, theta)
+        held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
+        exciting = _exciting(excitation, theta, chosen, held, simulated)
         moments = pair_moments(theta, chosen, rest)
         scale = column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale)
         context = self._context(theta, scale, d1.dt, samples)
         splitting = self._splitting(replace(context, equilibria=rest, known=(chosen, moments)))
         more = samples if simulated is None else simulated
-        held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
         unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
         base = lifted_model(theta, unlearned, d1, chosen, {}, more)
         learning = base if held is None or held[0] is chosen else lifted_model(theta, unlearned, d1, held[0], {}, more)
-        exciting = _exciting(excitation, theta, chosen, held, simulated)
         trial = Trial(theta, scale, chosen, base, held, learning, exciting)
         choice = self._stiffened(splitting, trial)
         if choice.bounded is False:
@@ -192,14 +192,13 @@ class Estimator(ABC):
 
     def _chosen(self, splitting: Splitting, trial: Trial) -> Choice:
         """alpha, and the fit to all pairs."""
-        solve, search = self._solver(splitting, trial, trial.pairs), None
-        if trial.held is None:
-            alpha = non_negative(self.alpha, "alpha")
-        else:
-            search = self._search(splitting, solve, trial)
-            alpha = search.chosen
+        solve = self._solver(splitting, trial, trial.pairs)
+        search = self._search(splitting, solve, trial) if trial.held else None
+        alpha = search.chosen if search else non_negative(self.alpha, "alpha")
         fit = solve(alpha)
-        return Choice(fit, alpha, search, None if trial.excitation is None else trial.bounds(fit.K))
+        if search and trial.learning is trial.base:  # that is the model which was rolled out
+            return Choice(fit, alpha, search, search.bounded)
+        return Choice(fit, alpha, search, trial.bounds(fit.K) if trial.excitation else None)
 
     def _solver(self, splitting: Splitting, trial: Trial, pairs: Pairs) -> Solver:
         solve = splitting.solver(pairs)
@@ -215,7 +214,8 @@ class Estimator(ABC):
             trial, solve = replace(trial, base=trial.learning), self._solver(splitting, trial, training)
         weights = state_weights(trial.theta, trial.pairs)
         errors = np.array([self._held_out_error(trial, solve(a).K, held, weights) for a in grid.tolist()])
-        return choose(grid, errors, self.cv_tolerance, names, lambda alpha: trial.bounds(solve(alpha).K))
+        asked = None if trial.excitation is None else lambda alpha: trial.bounds(solve(alpha).K)
+        return choose(grid, errors, self.cv_tolerance, names, asked)
 
     def _held_out_error(self, trial: Trial, k: Array, held: Episodes, weights: Array) -> float:
         """Median error of roll-outs of held-out episodes with the dynamics ``k``."""
