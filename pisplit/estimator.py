@@ -33,7 +33,7 @@ _E = TypeVar("_E", bound="Estimator")
 #: Static solutions of the actuated system: x (N, n) and u (N, m).
 Equilibria = tuple[ArrayLike, ArrayLike]
 
-GRIDS = {"ridge": np.logspace(-10, 3, 14), "lasso": np.logspace(-6, -1, 6)}
+GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
 #: A bound that takes more than 1 % off the spectral radius changes what the model says: fit warns.
 NOTABLE = 1.01
 #: Times that a splitting is made stiffer in search of a model that stays bounded.

@@ -56,6 +56,8 @@ DELAYS, DELAYED_FROM = 2, 2000
 TWIN_HELD_OUT = 6
 #: Centres of radial functions are chosen from every seventh input, and there are some for each of them.
 THINNED, ROWS_PER_CENTRE = 7, 4
+#: Ridges to choose from. With few pairs bilinear models need more than the estimators' own grid has.
+RIDGES = tuple(np.logspace(-10, 3, 14).tolist())
 #: Weights of the twin to choose from.
 TWIN_WEIGHTS = tuple(np.logspace(-6, 4, 6).tolist())
 #: Where held-out roll-outs hardly tell weights apart, as noisy ones do, the twin gets the larger one; where they hardly
@@ -129,7 +131,7 @@ class Tuned:
         small = compact(draw)
         fits = [
             _quietly(
-                self.estimator(theta, alpha="cv", cv_states="shape").fit,
+                self.estimator(theta, alpha="cv", alphas=RIDGES, cv_states="shape").fit,
                 small.episodes,
                 small.pairs(theta.n_delays),
                 excitation=excitation(draw.law) if self.bounded else None,
@@ -150,7 +152,7 @@ class RodCoordinates:
         """Fit to the pairs of a draw."""
         small, physics = compact(draw), physics_of(draw.law)
         theta = physics.dictionary()
-        fit = self.estimator(theta, alpha="cv", cv_states="shape")
+        fit = self.estimator(theta, alpha="cv", alphas=RIDGES, cv_states="shape")
         return Kinematic(_quietly(fit.fit, small.episodes, small.pairs(theta.n_delays)).lifted, physics)
 
 
@@ -198,8 +200,10 @@ class Splitting:
         theta, options = physics.dictionary(), physics.options()
         if self.split == "balanced":
             options = {name: options[name] for name in ("tangent", "equilibrium", "ports")}
-        given = None if self.split == "strang" else options
-        fit = PIEDMDc(theta, alpha="cv", penalty="ridge", split=self.split, cv_states="shape", options=given)
+        given, alphas = (None, RIDGES) if self.split == "strang" else (options, None)
+        fit = PIEDMDc(
+            theta, alpha="cv", penalty="ridge", split=self.split, alphas=alphas, cv_states="shape", options=given
+        )
         fitted = _quietly(fit.fit, small.episodes, small.d2, small.pairs(theta.n_delays))
         return Kinematic(fitted.lifted, physics)
 
