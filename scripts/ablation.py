@@ -2,7 +2,7 @@
 
 Arms, input laws, noise and wrong physics are scenarios (``arm_scenarios.py``), methods are in ``arm_methods.py``. All
 methods get the same pairs and the same held-out training episodes for their choices; no fit sees the test episodes.
-The twin was built with test errors of seed 0 in view (docs/ablation.md); another seed is fresh data.
+The twin was built with test errors of seeds 0 to 4 in view (docs/ablation.md); other seeds are fresh data.
 Errors are medians with quartiles over all steps of all test roll-outs of all draws; a roll-out that diverges counts as
 infinite from there on. Cells are kept on disk: a killed run continues.
 """
