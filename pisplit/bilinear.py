@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
-
 from pisplit.dictionary import Dictionary
 from pisplit.edmdc import DirectEDMDc
-from pisplit.episodes import Episodes, Pairs
-from pisplit.estimator import Equilibria
+from pisplit.episodes import Episodes
 
 
 class BilinearEDMDc(DirectEDMDc):
@@ -17,20 +14,6 @@ class BilinearEDMDc(DirectEDMDc):
     that its ``ob.Bilinear(columns)`` names. With states and the constant alone it is the paper's
     Theta = [Theta_x; u_1 Theta_x; ..; u_m Theta_x]. Options: :class:`pisplit.edmdc.DirectEDMDc`.
     """
-
-    def fit(
-        self,
-        d1: Episodes,
-        pairs: Pairs | None = None,
-        equilibria: Equilibria | None = None,
-        excitation: ArrayLike | None = None,
-    ) -> BilinearEDMDc:
-        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
-
-        ``equilibria`` and ``excitation`` as in :meth:`pisplit.edmdc.LinearEDMDc.fit`.
-        """
-        self._fit(d1, None, pairs, equilibria, excitation=excitation)
-        return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:
         theta = self.theta.named_after(d1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,8 @@ from pisplit.regression import PENALTIES
 from pisplit.splitting import Direct, SplitContext, Splitting
 
 Array = NDArray[np.float64]
+
+_D = TypeVar("_D", bound="DirectEDMDc")
 
 
 class DirectEDMDc(Estimator):
@@ -62,6 +65,24 @@ class DirectEDMDc(Estimator):
         self.cv_tolerance = cv_tolerance
         self.max_radius = max_radius
 
+    def fit(
+        self: _D,
+        d1: Episodes,
+        pairs: Pairs | None = None,
+        equilibria: Equilibria | None = None,
+        excitation: ArrayLike | None = None,
+    ) -> _D:
+        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
+
+        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
+        counts as one pair, with the past equal to the present.
+        ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
+        the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
+        three times the magnitude of its quantity in the data (:class:`pisplit.excitation.Excitation`).
+        """
+        self._fit(d1, None, pairs, equilibria, excitation=excitation)
+        return self
+
     def _splitting(self, context: SplitContext) -> Splitting:
         return Direct(context)
 
@@ -82,21 +103,3 @@ class DirectEDMDc(Estimator):
 
 class LinearEDMDc(DirectEDMDc):
     """L-EDMDc: z+ = A z + B phi(u) (paper; Korda and Mezic, Automatica 93, 2018). Options: :class:`DirectEDMDc`."""
-
-    def fit(
-        self,
-        d1: Episodes,
-        pairs: Pairs | None = None,
-        equilibria: Equilibria | None = None,
-        excitation: ArrayLike | None = None,
-    ) -> LinearEDMDc:
-        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
-
-        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
-        counts as one pair, with the past equal to the present.
-        ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
-        the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
-        three times the magnitude of its quantity in the data (:class:`pisplit.excitation.Excitation`).
-        """
-        self._fit(d1, None, pairs, equilibria, excitation=excitation)
-        return self
