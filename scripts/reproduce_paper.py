@@ -235,8 +235,8 @@ class OfScenario:
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the draw under the scenario's name."""
-        from arm_methods import TwinMethod
         from arm_scenarios import STEPS
+        from arm_twin import TwinMethod
 
         fit = self.fit
         if self.twin:

@@ -107,7 +107,7 @@ def test_errors_over_sizes_are_drawn_for_every_method(tmp_path: Path) -> None:
 
 
 def test_recordings_hold_the_pair_its_history_and_where_the_servo_was(arm_episodes: Episodes) -> None:
-    protocol, methods, scenarios = module("paper_protocol"), module("arm_methods"), module("arm_scenarios")
+    protocol, methods, scenarios = module("paper_protocol"), module("arm_twin"), module("arm_scenarios")
     rng = np.random.default_rng(1)
     episodes = Episodes(arm_episodes.xs, [rng.standard_normal((399, 3)) for _ in range(7)], 0.03)
     draw = protocol.Draw("paper arm", episodes, np.array([[1, 4], [2, 30]]), None, 0)
@@ -131,7 +131,7 @@ def test_curve_over_noise_is_drawn(tmp_path: Path) -> None:
 
 
 def test_a_compact_draw_holds_the_same_pairs_and_held_out_episodes(arm_episodes: Episodes) -> None:
-    protocol, methods = module("paper_protocol"), module("arm_methods")
+    protocol, methods = module("paper_protocol"), module("arm_shared")
     rows = np.array([[2, 7], [0, 30], [2, 5]])
     draw = protocol.Draw("paper arm", arm_episodes, rows, None, 0)
     small = methods.compact(draw)
