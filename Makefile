@@ -20,7 +20,7 @@ lint: $(VENV)/.package
 	$(BIN)/mypy scripts
 
 bench: $(VENV)/.package
-	$(BIN)/python scripts/benchmark.py $(ARGS)
+	$(BIN)/python scripts/benchmarks/benchmark.py $(ARGS)
 
 # The package is installed, not linked: tests and scripts see what a user's pip install gives.
 $(VENV)/.package: $(VENV)/.dependencies $(SOURCES) README.md

@@ -1,14 +1,14 @@
 """Linear MPC on a lifted model and closed loops on a plant."""
 
-from . import references
-from .condense import Condensed, condense
-from .feedforward import FeedForward
-from .loop import ClosedLoop, LoopLog
-from .mpc import MPC
-from .plant import Plant, PlantStep
-from .qp import QPSettings
-from .references import Reference
-from .tracking import Controller, Move
+from pisplit.controllers import references
+from pisplit.controllers.feedforward import FeedForward
+from pisplit.controllers.loop.loop import ClosedLoop, LoopLog
+from pisplit.controllers.loop.plant import Plant, PlantStep
+from pisplit.controllers.loop.tracking import Controller, Move
+from pisplit.controllers.mpc.condense import Condensed, condense
+from pisplit.controllers.mpc.mpc import MPC
+from pisplit.controllers.mpc.qp import QPSettings
+from pisplit.controllers.references import Reference
 
 __all__ = [
     "MPC",

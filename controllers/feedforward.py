@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
-from pisplit.lifted import LiftedModel
-
-from .limits import input_limits
-from .tracking import Move, check_dt, checked_window, start_input, tracked_states
+from pisplit.controllers.loop.tracking import Move, check_dt, checked_window, start_input, tracked_states
+from pisplit.controllers.mpc.limits import input_limits
+from pisplit.lifted.model import LiftedModel
 
 
 class FeedForward:

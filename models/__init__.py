@@ -2,4 +2,6 @@
 
 from pisplit.models.control_system import ControlSystem
 
-__all__ = ["ControlSystem"]
+__all__ = [
+    "ControlSystem",
+]

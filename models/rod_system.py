@@ -6,7 +6,7 @@ import casadi as ca
 
 from pisplit.models import rod
 from pisplit.models.control_system import ControlSystem
-from pisplit.models.rod.coordinates import RodCoordinates
+from pisplit.models.rod.analysis.coordinates import RodCoordinates
 
 
 def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem:

@@ -86,8 +86,8 @@ def tendon_arm(nodes: int = 5) -> ControlSystem:
     """The tendon arm of the paper in its own coordinates: the backbone with its weight, damping and drag is f, the
     tendons are h (:func:`pisplit.models.rod_system.rod_system` takes any scene). Simulate with ``method="idas"``.
     """
+    from pisplit.models.arm.tendon_arm import TendonArm
     from pisplit.models.rod_system import rod_system  # the other systems need no rods
-    from pisplit.models.tendon_arm import TendonArm
 
     return rod_system(TendonArm.paper(nodes).scene)
 

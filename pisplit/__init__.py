@@ -2,27 +2,27 @@
 
 from pathlib import Path as _Path
 
-from pisplit import observables
-from pisplit.bilinear import BilinearEDMDc
-from pisplit.comparison import Comparison, LearningCurve, compare, learning_curve
-from pisplit.dictionary import Dictionary
-from pisplit.edmdc import LinearEDMDc
-from pisplit.episodes import Episodes, Pairs
-from pisplit.evaluate import RolloutErrors, rollout_errors
-from pisplit.exporting import to_c_header, to_control, to_numpy, to_state_space
-from pisplit.generator import HalfStep, generator_edmd, generator_spectrum, half_step
-from pisplit.horizon import HorizonErrors, horizon_errors
-from pisplit.lifted import LiftedModel, Rollout
-from pisplit.modal import Modes, modes
-from pisplit.phase import PhaseSamples
-from pisplit.pi import PIEDMDc
-from pisplit.recursive import RecursiveRegression
-from pisplit.reduction import Reduction, balanced_truncation
-from pisplit.sensitivity import input_jacobian, rollout_jacobian
-from pisplit.spectrum import Spectrum
-from pisplit.stability import stabilised
-from pisplit.streaming import StreamingEDMDc
-from pisplit.twin import TwinEDMDc
+from pisplit import _moved, observables
+from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.phase import PhaseSamples
+from pisplit.dictionary.dictionary import Dictionary
+from pisplit.estimators.bilinear import BilinearEDMDc
+from pisplit.estimators.edmdc import LinearEDMDc
+from pisplit.estimators.pi import PIEDMDc
+from pisplit.estimators.streaming import StreamingEDMDc
+from pisplit.estimators.twin import TwinEDMDc
+from pisplit.evaluation.comparison import Comparison, LearningCurve, compare, learning_curve
+from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
+from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
+from pisplit.generator.generator import HalfStep, generator_edmd, generator_spectrum, half_step
+from pisplit.generator.spectrum import Spectrum
+from pisplit.lifted.formats import to_c_header, to_control, to_numpy, to_state_space
+from pisplit.lifted.model import LiftedModel, Rollout
+from pisplit.lifted.modes import Modes, modes
+from pisplit.lifted.radius import stabilised
+from pisplit.lifted.reduction import Reduction, balanced_truncation
+from pisplit.lifted.sensitivity import input_jacobian, rollout_jacobian
+from pisplit.regression.recursive import RecursiveRegression
 
 __all__ = [
     "BilinearEDMDc",
@@ -67,3 +67,4 @@ __all__ = [
 _root = _Path(__file__).resolve().parent.parent
 if (_root / "models" / "__init__.py").exists() and (_root / "pyproject.toml").exists():
     __path__.append(str(_root))  # in a source tree `models` and `controllers` stand beside this folder
+_moved.follow()

@@ -10,10 +10,9 @@ import argparse
 import time
 from pathlib import Path
 
-from report import Report, parser, run
-
+from common.report import Report, parser, run
 from pisplit import Episodes, PhaseSamples
-from pisplit.models.generation import (
+from pisplit.models.arm.recording import (
     check_origin,
     deviations_from_equilibrium,
     episodes_origin,
@@ -22,7 +21,7 @@ from pisplit.models.generation import (
     phase_origin,
     strain_rates,
 )
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 
 def load_or_make(

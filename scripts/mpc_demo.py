@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arm_pictures import animate, draw_shapes, draw_tracking, tip_error
 from generate_data import load_or_make
-from report import Report, parser, run
 from tqdm import tqdm
 
+from common.pictures import animate, draw_shapes, draw_tracking, tip_error
+from common.report import Report, parser, run
 from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
 from pisplit.controllers import MPC, ClosedLoop, FeedForward, LoopLog, references
-from pisplit.models.arm_physics import ArmPhysics
-from pisplit.models.equilibrium import equilibrium_table
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.physics import ArmPhysics
+from pisplit.models.arm.static_table import equilibrium_table
+from pisplit.models.arm.tendon_arm import TendonArm
 
 STATIONS = 6
 TEST_EPISODES = 4

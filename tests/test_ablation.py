@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pisplit import Episodes
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
@@ -40,7 +40,7 @@ def arm_episodes() -> Episodes:
 
 
 def test_noise_has_the_size_that_is_said_and_keeps_rotations_rotations(arm_episodes: Episodes) -> None:
-    scenarios = module("arm_scenarios")
+    scenarios = module("ablation.scenarios")
     changed = scenarios.noisy(arm_episodes, 1.0, seed=0)
     q = np.array(arm_episodes.quantities)
     before, after = arm_episodes.stacked_states(), changed.stacked_states()
@@ -58,7 +58,7 @@ def test_noise_has_the_size_that_is_said_and_keeps_rotations_rotations(arm_episo
 
 
 def test_wrong_physics_is_wrong_in_what_is_told_not_in_what_moves() -> None:
-    found = module("arm_scenarios").scenarios()
+    found = module("ablation.scenarios").scenarios()
     paper = TendonArm.paper()
     stiff = found["E 20 % too high"]
     assert stiff.arm.scene == paper.scene
@@ -70,7 +70,7 @@ def test_wrong_physics_is_wrong_in_what_is_told_not_in_what_moves() -> None:
 
 
 def test_hysteresis_and_routing_are_in_the_arm_that_moves_alone() -> None:
-    scenarios = module("arm_scenarios")
+    scenarios = module("ablation.scenarios")
     found = scenarios.scenarios()
     paper = TendonArm.paper()
     twisted = found["routing error"]
@@ -87,7 +87,7 @@ def test_hysteresis_and_routing_are_in_the_arm_that_moves_alone() -> None:
 
 def test_the_tip_load_hangs_at_the_tip() -> None:
     """10 g pull a cantilever down by F L^3 / 12 EI where stiff tendons keep its tip from turning."""
-    found = module("arm_scenarios").scenarios()["tip load"]
+    found = module("ablation.scenarios").scenarios()["tip load"]
     body, u = found.known.scene.rod, found.known.rest_inputs
     tips = [arm.scene.fields(arm.scene.statics().solve(u).state, 2)[1, :3] for arm in (found.arm, found.known)]
     expected = 0.01 * 9.81 * body.length**3 / (12.0 * body.stiffness[0])
@@ -95,8 +95,8 @@ def test_the_tip_load_hangs_at_the_tip() -> None:
 
 
 def test_errors_over_sizes_are_drawn_for_every_method(tmp_path: Path) -> None:
-    figures, protocol = module("ablation_figures"), module("paper_protocol")
-    found = module("arm_methods").methods(tmp_path, 0)
+    figures, protocol = module("ablation.figures"), module("common.protocol")
+    found = module("ablation.methods").methods(tmp_path, 0)
     table = {
         ("paper arm", method, size): protocol.Summary(np.inf if "Strang" in method else 1e-4, 1e-5, 1e-3, 0.0)
         for method in found
@@ -107,7 +107,7 @@ def test_errors_over_sizes_are_drawn_for_every_method(tmp_path: Path) -> None:
 
 
 def test_recordings_hold_the_pair_its_history_and_where_the_servo_was(arm_episodes: Episodes) -> None:
-    protocol, methods, scenarios = module("paper_protocol"), module("arm_twin"), module("arm_scenarios")
+    protocol, methods, scenarios = module("common.protocol"), module("ablation.twin"), module("ablation.scenarios")
     rng = np.random.default_rng(1)
     episodes = Episodes(arm_episodes.xs, [rng.standard_normal((399, 3)) for _ in range(7)], 0.03)
     draw = protocol.Draw("paper arm", episodes, np.array([[1, 4], [2, 30]]), None, 0)
@@ -119,7 +119,7 @@ def test_recordings_hold_the_pair_its_history_and_where_the_servo_was(arm_episod
 
 
 def test_curve_over_noise_is_drawn(tmp_path: Path) -> None:
-    figures, protocol = module("ablation_figures"), module("paper_protocol")
+    figures, protocol = module("ablation.figures"), module("common.protocol")
     levels = {"paper arm": 0.0, "noise": 1.0, "noise, twice": 2.0}
     table = {
         (name, method, 128): protocol.Summary(1e-4 * (1 + f), 1e-5, 1e-3, 0.0)
@@ -131,7 +131,7 @@ def test_curve_over_noise_is_drawn(tmp_path: Path) -> None:
 
 
 def test_a_compact_draw_holds_the_same_pairs_and_held_out_episodes(arm_episodes: Episodes) -> None:
-    protocol, methods = module("paper_protocol"), module("arm_shared")
+    protocol, methods = module("common.protocol"), module("ablation.shared")
     rows = np.array([[2, 7], [0, 30], [2, 5]])
     draw = protocol.Draw("paper arm", arm_episodes, rows, None, 0)
     small = methods.compact(draw)
@@ -142,7 +142,7 @@ def test_a_compact_draw_holds_the_same_pairs_and_held_out_episodes(arm_episodes:
 
 
 def test_gains_are_over_the_best_baseline_and_need_all_of_them() -> None:
-    ablation, protocol = module("ablation"), module("paper_protocol")
+    ablation, protocol = module("ablation.ablation"), module("common.protocol")
     made = {"L-EDMDc": 4e-3, "B-EDMDc": 2e-3, "PI twin": 1e-5}
     table = {("paper arm", name, 16): protocol.Summary(value, value, value, 0.0) for name, value in made.items()}
     assert ablation.gain(table, "paper arm", 16, ablation.BASELINES) == pytest.approx(200.0)

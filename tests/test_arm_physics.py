@@ -9,12 +9,12 @@ import pytest
 
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.generator import generator_edmd
-from pisplit.models.arm_physics import ArmPhysics
-from pisplit.models.equilibrium import equilibrium_table
-from pisplit.models.generation import deviations_from_equilibrium, make_episodes, make_phase_samples
-from pisplit.models.rod.held import held_acceleration
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.generator.generator import generator_edmd
+from pisplit.models.arm.physics import ArmPhysics
+from pisplit.models.arm.recording import deviations_from_equilibrium, make_episodes, make_phase_samples
+from pisplit.models.arm.static_table import equilibrium_table
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.equations.held import held_acceleration
 
 STATIONS = 3
 

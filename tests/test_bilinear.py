@@ -13,8 +13,8 @@ import pytest
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
 from pisplit.controllers import MPC, QPSettings
-from pisplit.controllers.relinearise import AlongPlan
-from pisplit.structured import BilinearTerm
+from pisplit.controllers.mpc.relinearise import AlongPlan
+from pisplit.dictionary.products import BilinearTerm
 
 RNG = np.random.default_rng(8)
 N_STATES, N_INPUTS = 3, 2

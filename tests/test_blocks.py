@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pisplit.models.blocks import Block, discard_blocks, run_blocks
+from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
 
 RUN = {"kind": "numbers", "seed": 3}
 
@@ -55,7 +55,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from pisplit.models.blocks import run_blocks
+from pisplit.models.arm.blocks import run_blocks
 
 folder = Path(sys.argv[1])
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.calibrated import CalibratedTendons, TendonParameters
-from pisplit.models.calibration import (
+from pisplit.models.arm.recording import random_differential
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.calibration.fit import (
     calibrate_from_equilibria,
     calibrate_from_pairs,
     calibrate_from_shapes,
     nominal_parameters,
 )
-from pisplit.models.generation import random_differential
-from pisplit.models.recordings import calibrate_from_recordings
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.calibration.parametrised import CalibratedTendons, TendonParameters
+from pisplit.models.calibration.recordings import calibrate_from_recordings
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, FeedForward, LoopLog, PlantStep, references
-from pisplit.lifted import LiftedModel
+from pisplit.lifted.model import LiftedModel
 
 DT = 0.03
 STIFFNESS, DAMPING = 90.0, 1.5  # a lightly damped point of 1.5 Hz, like the tip of an arm

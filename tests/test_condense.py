@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pisplit.controllers import condense
-from pisplit.lifted import LiftedModel
+from pisplit.lifted.model import LiftedModel
 
 
 def delayed_model(seed: int, n: int = 4, m: int = 2, delays: int = 2) -> LiftedModel:

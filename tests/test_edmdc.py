@@ -10,7 +10,7 @@ import pytest
 
 from pisplit import Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
-from pisplit.evaluate import rollout_errors
+from pisplit.evaluation.rollouts import rollout_errors
 
 RNG = np.random.default_rng(3)
 

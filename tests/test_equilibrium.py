@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit.models.equilibrium import EquilibriumTable, equilibrium_table
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.static_table import EquilibriumTable, equilibrium_table
+from pisplit.models.arm.tendon_arm import TendonArm
 
 HALF_WIDTH = 0.012
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.comparison import compare, learning_curve
-from pisplit.horizon import horizon_errors
+from pisplit.evaluation.comparison import compare, learning_curve
+from pisplit.evaluation.horizon import horizon_errors
 from pisplit.models import systems
 
 Array = NDArray[np.float64]

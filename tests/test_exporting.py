@@ -13,7 +13,7 @@ from scipy.signal import dlsim
 
 from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc
 from pisplit import observables as ob
-from pisplit.exporting import to_c_header, to_control, to_numpy, to_state_space
+from pisplit.lifted.formats import to_c_header, to_control, to_numpy, to_state_space
 from pisplit.models import systems
 
 

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.models import generation, rod
-from pisplit.models.generation import (
+from pisplit.models import rod
+from pisplit.models.arm import recording
+from pisplit.models.arm.recording import (
     deviations_from_equilibrium,
     make_episodes,
     make_phase_samples,
@@ -24,8 +25,8 @@ from pisplit.models.generation import (
     random_displacements,
     strain_rates,
 )
-from pisplit.models.rod.held import held_acceleration
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.equations.held import held_acceleration
 
 STATIONS, STEPS, DT = 3, 24, 0.03
 SMALL = {"stations": STATIONS, "seed": 1, "workers": 1, "progress": False}
@@ -141,16 +142,16 @@ def test_episodes_survive_their_file(episodes: Episodes, arm: TendonArm, tmp_pat
 def test_a_broken_run_goes_on_where_it_stopped(
     arm: TendonArm, episodes: Episodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = generation.EpisodeTask.__call__
+    whole = recording.EpisodeTask.__call__
     asked: list[int] = []
 
-    def breaking(task: generation.EpisodeTask, k: int) -> Any:
+    def breaking(task: recording.EpisodeTask, k: int) -> Any:
         asked.append(k)
         if asked == [0, 1]:
             raise KeyboardInterrupt
         return whole(task, k)
 
-    monkeypatch.setattr(generation.EpisodeTask, "__call__", breaking)
+    monkeypatch.setattr(recording.EpisodeTask, "__call__", breaking)
     with pytest.raises(KeyboardInterrupt):
         make_episodes(arm, tmp_path / "d1.h5", 3, STEPS, DT, **SMALL)
     assert not (tmp_path / "d1.h5").exists()
@@ -242,7 +243,7 @@ def test_xdot_is_how_the_simulated_passive_arm_begins_to_move(tmp_path: Path) ->
 def test_phase_samples_depend_on_their_seed_only_and_survive_their_file(
     arm: TendonArm, moves: tuple[np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(generation, "SAMPLES_PER_BLOCK", 15)
+    monkeypatch.setattr(recording, "SAMPLES_PER_BLOCK", 15)
     one = make_phase_samples(arm, tmp_path / "one.h5", 40, moves[1], moves[0], **SMALL)
     two = make_phase_samples(arm, tmp_path / "two.h5", 40, moves[1], moves[0], **{**SMALL, "workers": 2})
     more = make_phase_samples(arm, tmp_path / "more.h5", 50, moves[1], moves[0], **SMALL)
@@ -390,12 +391,12 @@ def test_rod_coordinates_refuse_what_they_cannot_tell(arm: TendonArm) -> None:
 
 def test_play_follows_when_it_is_used_up_and_remembers_where_it_came_from() -> None:
     up, down = np.linspace(0.0, 1.0, 101)[:, None], np.linspace(1.0, 0.0, 101)[:, None]
-    moved = generation.play(np.vstack([up, down]), 0.2, np.zeros(1))
+    moved = recording.play(np.vstack([up, down]), 0.2, np.zeros(1))
     np.testing.assert_allclose(moved[:101], np.maximum(up - 0.1, 0.0), atol=1e-15)
     np.testing.assert_allclose(moved[101:], np.minimum(down + 0.1, 0.9), atol=1e-15)
-    np.testing.assert_array_equal(generation.play(up, 0.0, np.zeros(1)), up)
+    np.testing.assert_array_equal(recording.play(up, 0.0, np.zeros(1)), up)
     # Rate-independent: what lies between two turns does not matter.
-    coarse = generation.play(np.array([[1.0], [0.0]]), 0.2, np.zeros(1))
+    coarse = recording.play(np.array([[1.0], [0.0]]), 0.2, np.zeros(1))
     np.testing.assert_allclose(coarse[-1], moved[-1], atol=1e-15)
 
 
@@ -404,10 +405,10 @@ def test_episodes_with_backlash_record_commands_and_move_by_what_is_left(arm: Te
     told = make_episodes(arm, tmp_path / "told.h5", 1, STEPS, DT, **SMALL)
     np.testing.assert_array_equal(late.us[0], told.us[0])
     servo = late.extra["state"][0][1:, -3:]
-    np.testing.assert_allclose(servo, generation.play(told.us[0], 1e-3, arm.rest_inputs), atol=1e-12)
+    np.testing.assert_allclose(servo, recording.play(told.us[0], 1e-3, arm.rest_inputs), atol=1e-12)
     assert np.abs(late.xs[0] - told.xs[0]).max() > 1e-3
-    origin = generation.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1)
+    origin = recording.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1)
     with pytest.raises(ValueError, match=r"backlash = 0\.001, not 0\.0"):
-        generation.check_origin(tmp_path / "late.h5", late.provenance, origin)
+        recording.check_origin(tmp_path / "late.h5", late.provenance, origin)
     with pytest.raises(ValueError, match="backlash = -1"):
         make_episodes(arm, tmp_path / "d1.h5", 1, STEPS, DT, **SMALL, backlash=-1.0)

@@ -9,10 +9,16 @@ import pytest
 
 from pisplit import Dictionary, Episodes, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.generator import equilibrium_drift, generator_edmd, generator_spectrum, half_step, weighted_moments
+from pisplit.generator.generator import (
+    equilibrium_drift,
+    generator_edmd,
+    generator_spectrum,
+    half_step,
+    weighted_moments,
+)
+from pisplit.generator.spectrum import spectrum
 from pisplit.models import systems
-from pisplit.moments import accumulate
-from pisplit.spectrum import spectrum
+from pisplit.regression.moments import accumulate
 
 MU, LAM = -0.1, -1.0
 

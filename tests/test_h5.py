@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pisplit import Episodes, LiftedModel, PhaseSamples, h5
+from pisplit import Episodes, LiftedModel, PhaseSamples
+from pisplit.data import store
 
 
 def small_episodes() -> Episodes:
@@ -18,7 +19,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
     path = tmp_path / "d1.h5"
     small_episodes().save(path)
     before = path.read_bytes()
-    with pytest.raises(RuntimeError, match="killed"), h5.writing(path, "pisplit/episodes") as file:
+    with pytest.raises(RuntimeError, match="killed"), store.writing(path, "pisplit/episodes") as file:
         file["x"] = np.zeros(1000)
         raise RuntimeError("killed")
     assert path.read_bytes() == before
@@ -51,7 +52,7 @@ def test_missing_files_and_other_kinds_are_named(tmp_path: Path) -> None:
 
 
 def test_a_file_without_one_of_its_parts_is_refused_in_one_line(tmp_path: Path) -> None:
-    with h5.writing(tmp_path / "d1.h5", "pisplit/episodes") as file:
+    with store.writing(tmp_path / "d1.h5", "pisplit/episodes") as file:
         file["nothing"] = 1.0
     with pytest.raises(ValueError, match="incomplete or damaged") as error:
         Episodes.load(tmp_path / "d1.h5")
@@ -59,8 +60,8 @@ def test_a_file_without_one_of_its_parts_is_refused_in_one_line(tmp_path: Path) 
 
 
 def test_a_newer_format_is_refused(tmp_path: Path) -> None:
-    with h5.writing(tmp_path / "d1.h5", "pisplit/episodes") as file:
-        file.attrs["version"] = h5.FORMAT_VERSION + 1
+    with store.writing(tmp_path / "d1.h5", "pisplit/episodes") as file:
+        file.attrs["version"] = store.FORMAT_VERSION + 1
     with pytest.raises(ValueError, match="update it"):
         Episodes.load(tmp_path / "d1.h5")
 

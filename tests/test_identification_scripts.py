@@ -22,14 +22,14 @@ def figures(name: str, folder: Path, *arguments: str) -> dict[str, Any]:
 
 
 def test_awkward_data_end_in_a_correct_answer_or_one_clear_error(tmp_path: Path) -> None:
-    found = figures("stress_identification.py", tmp_path)
+    found = figures("stress/stress_identification.py", tmp_path)
     assert found["silently wrong cases"]["value"] == 0
     assert found["correct cases"]["value"] >= 40 and found["refused cases"]["value"] >= 20
     assert found["flagged cases"]["value"] <= 8
 
 
 def test_the_benchmark_meets_the_targets_that_do_not_depend_on_the_machine(tmp_path: Path) -> None:
-    found = figures("benchmark_identification.py", tmp_path)
+    found = figures("benchmarks/benchmark_identification.py", tmp_path)
     exact = [name for name in found if "gap" in name or "distance to cvxpy" in name or "u^3" in name or "'cv'" in name]
     assert len(exact) >= 11
     for name in exact:

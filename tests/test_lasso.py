@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pisplit.moments import accumulate, triangular_factor
 from pisplit.regression import alpha_max, lasso, lasso_path, least_squares
+from pisplit.regression.moments import accumulate, triangular_factor
 
 Array = NDArray[np.float64]
 

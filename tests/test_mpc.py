@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pisplit.controllers import MPC, QPSettings
-from pisplit.controllers.qp import QP
-from pisplit.lifted import LiftedModel
+from pisplit.controllers.mpc.qp import QP
+from pisplit.lifted.model import LiftedModel
 
 DIFFERENTIAL = np.linalg.svd(np.eye(3) - 1.0 / 3.0)[0][:, :2]  # three tendons without a common pull
 EXACT = QPSettings(eps=1e-8, max_iterations=100_000, first_max_iterations=100_000)

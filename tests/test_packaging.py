@@ -25,7 +25,7 @@ LOADED = """
 import importlib, pkgutil, sys
 package = importlib.import_module({package!r})
 others = {others!r}
-for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
     if not module.name.startswith(others):
         importlib.import_module(module.name)
 print(*[name for name in sys.modules if name.startswith(others)])

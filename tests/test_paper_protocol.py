@@ -20,7 +20,7 @@ SCRIPTS = Path(__file__).parent.parent / "scripts"
 def protocol() -> Any:
     sys.path.insert(0, str(SCRIPTS))
     try:
-        return importlib.import_module("paper_protocol")
+        return importlib.import_module("common.protocol")
     finally:
         sys.path.remove(str(SCRIPTS))
 

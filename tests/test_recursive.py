@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from pisplit import Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
-from pisplit.recursive import RecursiveRegression
+from pisplit.estimators.streaming import StreamingEDMDc
+from pisplit.lifted.radius import limited_radius, stabilised
 from pisplit.regression import lasso, least_squares, ridge
-from pisplit.stability import limited_radius, stabilised
-from pisplit.streaming import StreamingEDMDc
+from pisplit.regression.recursive import RecursiveRegression
 
 RNG = np.random.default_rng(0)
 A, Y = RNG.normal(size=(120, 6)) * np.logspace(0, -5, 6), RNG.normal(size=(120, 3))

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from pisplit import LiftedModel
-from pisplit.modal import modes
-from pisplit.reduction import balanced_truncation
-from pisplit.sensitivity import input_jacobian, rollout_jacobian
+from pisplit.lifted.modes import modes
+from pisplit.lifted.reduction import balanced_truncation
+from pisplit.lifted.sensitivity import input_jacobian, rollout_jacobian
 
 Array = NDArray[np.float64]
 DT = 0.05

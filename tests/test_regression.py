@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pisplit.moments import accumulate
 from pisplit.regression import alpha_max, composed_ridge, lasso, least_squares, ridge
-from pisplit.scaling import column_scales
+from pisplit.regression.moments import accumulate
+from pisplit.regression.scaling import column_scales
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(1)

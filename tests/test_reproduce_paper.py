@@ -13,8 +13,8 @@ import pytest
 import scipy.linalg
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.models import generation
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm import recording
+from pisplit.models.arm.tendon_arm import TendonArm
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 DT, STATES = 0.1, 9
@@ -24,8 +24,10 @@ DT, STATES = 0.1, 9
 def modules() -> Any:
     sys.path.insert(0, str(SCRIPTS))
     try:
-        names = ("paper_methods", "paper_protocol", "paper_runs", "paper_tables", "paper_data", "reproduce_paper")
-        return SimpleNamespace(**{name: importlib.import_module(name) for name in names})
+        rooms = {"paper": ("methods", "tables", "reproduce_paper"), "common": ("protocol", "runs", "data")}
+        return SimpleNamespace(
+            **{name: importlib.import_module(f"{room}.{name}") for room, names in rooms.items() for name in names}
+        )
     finally:
         sys.path.remove(str(SCRIPTS))
 
@@ -58,12 +60,12 @@ def data(modules: Any, generator: np.ndarray) -> Any:
     samples = rng.normal(size=(300, STATES))
     half = samples @ scipy.linalg.expm(0.5 * DT * generator).T
     d2 = PhaseSamples(samples + 5.0, rng.normal(size=(300, 2)), samples @ generator.T, half + 5.0, DT)
-    return modules.paper_data.PaperData("any", episodes[:9], episodes[9:], d2)
+    return modules.data.PaperData("any", episodes[:9], episodes[9:], d2)
 
 
 def draw(modules: Any, data: Any, size: int) -> Any:
-    rows = modules.paper_protocol.random_pairs(data.training, size, 0)
-    return modules.paper_protocol.Draw("any", data.training, rows, data.d2, 0)
+    rows = modules.protocol.random_pairs(data.training, size, 0)
+    return modules.protocol.Draw("any", data.training, rows, data.d2, 0)
 
 
 def test_units_have_no_mean_and_unit_deviation_and_constants_stay(modules: Any, data: Any) -> None:
@@ -71,17 +73,17 @@ def test_units_have_no_mean_and_unit_deviation_and_constants_stay(modules: Any, 
     quantities = ["p"] * 6 + ["q"] * 3 + ["v"]
     given = Episodes(xs, data.training.us, DT, quantities=quantities)
     for scaling in ("column", "quantity"):
-        found = modules.paper_methods.Units.of(given, scaling).episodes(given).stacked_states()
+        found = modules.methods.Units.of(given, scaling).episodes(given).stacked_states()
         np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=1e-12)
         assert found[:, 9].std() < 1e-7
     np.testing.assert_allclose(
-        modules.paper_methods.Units.of(given, "column").episodes(given).stacked_states()[:, :9].std(axis=0), 1.0
+        modules.methods.Units.of(given, "column").episodes(given).stacked_states()[:, :9].std(axis=0), 1.0
     )
-    assert modules.paper_methods.Units.of(given, "none").episodes(given).xs[0] is not None
+    assert modules.methods.Units.of(given, "none").episodes(given).xs[0] is not None
 
 
 def test_moments_of_nested_draws_are_those_of_one_draw(modules: Any, data: Any) -> None:
-    methods = modules.paper_methods
+    methods = modules.methods
     theta = methods.dictionary(data.training)
     units = methods.Units.of(data.training, "column")
     growing, fresh = methods.Cache(), methods.Cache()
@@ -95,7 +97,7 @@ def test_moments_of_nested_draws_are_those_of_one_draw(modules: Any, data: Any) 
 def test_half_step_of_a_linear_f_is_its_exponential(
     modules: Any, data: Any, generator: np.ndarray, half_step: str
 ) -> None:
-    methods = modules.paper_methods
+    methods = modules.methods
     theta = methods.dictionary(data.training)
     units = methods.Units.of(data.training, "none")
     centred = PhaseSamples(data.d2.x - 5.0, data.d2.u, data.d2.xdot, data.d2.x_half - 5.0, DT)
@@ -109,7 +111,7 @@ def test_half_step_of_a_linear_f_is_its_exponential(
 
 def test_without_penalty_the_split_is_direct_regression_and_both_predict_exactly(modules: Any, data: Any) -> None:
     """K_f cancels in K_f K_h K_f when it is invertible."""
-    methods, protocol = modules.paper_methods, modules.paper_protocol
+    methods, protocol = modules.methods, modules.protocol
     choices = methods.Choices(alpha=1e-13, known="least squares")
     given = draw(modules, data, 90)
     for fit in (methods.Direct(choices, bilinear=False), methods.Split(choices)):
@@ -118,7 +120,7 @@ def test_without_penalty_the_split_is_direct_regression_and_both_predict_exactly
 
 
 def test_bilinear_columns_are_those_of_the_paper(modules: Any, data: Any) -> None:
-    theta = modules.paper_methods.dictionary(data.training)
+    theta = modules.methods.dictionary(data.training)
     assert theta.n_columns == 5 * STATES + 2
     assert theta.bilinear().n_columns == 5 * STATES * 3 + 2
 
@@ -129,7 +131,7 @@ class Counting:
     calls = 0
 
     def __init__(self, modules: Any) -> None:
-        self.protocol = modules.paper_protocol
+        self.protocol = modules.protocol
 
     def __call__(self, given: Any) -> Any:
         Counting.calls += 1
@@ -143,9 +145,9 @@ class Counting:
 
 
 def test_cells_are_resumed_refusals_counted_and_other_settings_refused(modules: Any, data: Any, tmp_path: Path) -> None:
-    runs = modules.paper_runs
+    runs = modules.runs
     source = SimpleSource(data)
-    method = modules.paper_protocol.Method("counting", Counting(modules))
+    method = modules.protocol.Method("counting", Counting(modules))
     cells = list(runs.curve_cells(["any"], ["counting"], {8: 1, 16: 2}, 300))
     arguments = ({"any": source}, [method], cells, tmp_path)
     Counting.calls = 0
@@ -156,14 +158,14 @@ def test_cells_are_resumed_refusals_counted_and_other_settings_refused(modules: 
     assert Counting.calls == 4
     for cell in cells:
         np.testing.assert_array_equal(first[cell].errors.shape, again[cell].errors.shape)
-    rows = modules.paper_tables.table(again)
+    rows = modules.tables.table(again)
     assert [(row["n1"], row["draws"], row["diverged"], row["refused fits"]) for row in rows] == [
         (8, 1, 1.0, 1),
         (16, 2, 0.0, 0),
     ]
     assert rows[1]["shape median [m^2]"] == pytest.approx(6.0 / 16**2, rel=1e-6)
     assert np.isinf(rows[0]["shape median [m^2]"])
-    assert modules.paper_tables.finite(rows)[0]["shape median [m^2]"] is None
+    assert modules.tables.finite(rows)[0]["shape median [m^2]"] is None
     with pytest.raises(ValueError, match="other settings"):
         runs.run_cells(*arguments, {"seed": 1}, workers=1, progress=False)
 
@@ -182,7 +184,7 @@ class SimpleSource:
 def test_plan_takes_all_pairs_for_zero_and_leaves_out_what_a_law_has_not(modules: Any, data: Any) -> None:
     protocol = modules.reproduce_paper.Protocol(
         "a title",
-        tuple(modules.paper_protocol.Method(name, Counting(modules)) for name in ("one", "two", "drawn")),
+        tuple(modules.protocol.Method(name, Counting(modules)) for name in ("one", "two", "drawn")),
         "drawn",
         sizes={8: 2, 10_000: 1, 0: 1},
         grid={8: 1},
@@ -190,7 +192,7 @@ def test_plan_takes_all_pairs_for_zero_and_leaves_out_what_a_law_has_not(modules
         left_out={"second": ("two",)},
     )
     cells = modules.reproduce_paper.plan_cells(protocol, {"first": data, "second": data})
-    every = modules.paper_runs.largest(data)
+    every = modules.runs.largest(data)
     assert len(set(cells)) == len(cells)
     for law, names in (("first", {"one", "two", "drawn"}), ("second", {"one", "drawn"})):
         mine = [cell for cell in cells if cell.law == law]
@@ -201,8 +203,8 @@ def test_plan_takes_all_pairs_for_zero_and_leaves_out_what_a_law_has_not(modules
 
 def test_data_of_older_equations_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = TendonArm.paper()
-    made = generation.episodes_origin(arm)
-    generation.check_origin("d1.h5", made, generation.episodes_origin(arm))
-    monkeypatch.setattr(generation, "EQUATIONS", generation.EQUATIONS + 1)
+    made = recording.episodes_origin(arm)
+    recording.check_origin("d1.h5", made, recording.episodes_origin(arm))
+    monkeypatch.setattr(recording, "EQUATIONS", recording.EQUATIONS + 1)
     with pytest.raises(ValueError, match=r"d1\.h5 holds data made with equations = \d+, not \d+"):
-        generation.check_origin("d1.h5", made, generation.episodes_origin(arm))
+        recording.check_origin("d1.h5", made, recording.episodes_origin(arm))

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pisplit.models import rod
-from pisplit.models.rod.codegen import board_step
+from pisplit.models.rod.output.codegen import board_step
 
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.rod import compiled
+from pisplit.models.rod.output import compiled
 
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
 PULLS = 0.004 * np.array([[1.0, -1.0], [-1.0, 1.0], [0.5, 0.0]])

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.rod import dynamics
-from pisplit.models.rod.dynamics import STARTS
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.dynamics import integrator
+from pisplit.models.rod.dynamics.integrator import STARTS
 
 ARM = TendonArm.paper(nodes=4)
 LENGTH = ARM.scene.rod.length
@@ -94,7 +94,7 @@ def test_every_start_of_the_integrator_leads_to_the_same_motion(
     """As the states are given, with carried rates, and corrected by ``calc_ic``."""
     u = np.stack([moving[-3:] + 1e-3, moving[-3:] + 2e-3])
     usual = tips(ARM.scene.simulator(0.03, rtol=1e-7).run(u, moving).x)
-    monkeypatch.setattr(dynamics, "STARTS", (kept,))
+    monkeypatch.setattr(integrator, "STARTS", (kept,))
     alone = ARM.scene.simulator(0.03, rtol=1e-7).run(u, moving)
     assert alone.success
     assert tips(alone.x) == pytest.approx(usual, abs=1e-5 * LENGTH)
@@ -210,8 +210,8 @@ def test_linear_dynamics_predict_small_motions() -> None:
 
 def test_a_run_that_is_bound_to_fail_spends_its_steps_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """One call over all intervals, one over the interval that takes too many steps; no other start is tried there."""
-    monkeypatch.setattr(dynamics, "MAX_STEPS", 3)
-    monkeypatch.setattr(dynamics, "MAX_STEPS_TOGETHER", 3)
+    monkeypatch.setattr(integrator, "MAX_STEPS", 3)
+    monkeypatch.setattr(integrator, "MAX_STEPS_TOGETHER", 3)
     simulator = ARM.scene.simulator(0.03)
     build, asked = simulator._integrator, []
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 STEEL = rod.Elastic(207e9, 8e10, 8000.0)
 BODY = rod.Rod(0.5, rod.Circle(1e-3), STEEL)

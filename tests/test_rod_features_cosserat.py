@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 ARM = TendonArm.paper(nodes=4).scene
 BENDING = rod.KelvinVoigt(bending=5e-4, torsion=5e-4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 BODY = rod.Rod(0.5, rod.Circle(4e-3), rod.Elastic(2e7, 7e6, 1100.0), "planar")
 

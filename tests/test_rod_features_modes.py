@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 LENGTH, RADIUS = 0.5, 1e-3
 

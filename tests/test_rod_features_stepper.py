@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.rod.trajectory import Trajectory
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.dynamics.trajectory import Trajectory
 
 ARM = TendonArm.paper(nodes=4).scene
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 P, R, V, W, Q, OMEGA = (slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 18), slice(18, 21), slice(21, 24))
 

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from pisplit.models import rod
-from pisplit.models.rod import pictures
-from pisplit.models.rod.trajectory import Trajectory
+from pisplit.models.rod.dynamics.trajectory import Trajectory
+from pisplit.models.rod.output import pictures
 
 OFFSET = 0.015
 ARM = rod.Scene(
@@ -92,5 +92,5 @@ def test_bad_arguments_are_one_line(motion: Trajectory, tmp_path: Path) -> None:
 
 
 def test_matplotlib_is_imported_when_a_picture_is_drawn() -> None:
-    code = "import sys, pisplit.models.rod.pictures; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, pisplit.models.rod.output.pictures; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
 DRAG = rod.QuadraticDrag(1e-3)

@@ -6,8 +6,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pisplit.models import rod
-from pisplit.models.rod.gauss import CompositeRule, GaussRule
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.kinematics.gauss import CompositeRule, GaussRule
 
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
 RUBBER = rod.Elastic(1e6, 1e6 / 3.0, 1000.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.tendon_arm import TendonArm
+from pisplit.models.arm.tendon_arm import TendonArm
 
 
 def steel(length: float = 0.4, strains: str = "kirchhoff") -> rod.Rod:

@@ -8,8 +8,8 @@ import pytest
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples
 from pisplit import observables as ob
 from pisplit.models import rod, systems
+from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod_system import rod_system
-from pisplit.models.tendon_arm import TendonArm
 
 ARM = TendonArm.paper(nodes=3)
 PULL = np.array([6e-3, 0.0, 1e-3])

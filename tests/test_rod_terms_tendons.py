@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from pisplit.models import rod
-from pisplit.models.rod.routing import sample
+from pisplit.models.rod.terms.routing import sample
 
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
 LENGTH = 0.4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.rod.gauss import GaussRule
+from pisplit.models.rod.kinematics.gauss import GaussRule
 
 CASES = json.loads(Path(__file__).with_name("validation.json").read_text())["cases"]
 

@@ -16,7 +16,7 @@ from PIL import Image
 from pisplit import Episodes, PhaseSamples
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
-RUNNABLE = sorted(p.name for p in SCRIPTS.glob("*.py") if "__main__" in p.read_text())
+RUNNABLE = sorted(p.relative_to(SCRIPTS).as_posix() for p in SCRIPTS.rglob("*.py") if "__main__" in p.read_text())
 
 
 def script(name: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:

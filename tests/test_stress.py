@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-import watched
-from random_scenes import Description, build, unloaded
-from scene_strategy import drawn, scenes
-from stress_cases import sweeps, work
-from watched import Finished, run_watched
+from stress import watched
+from stress.cases import sweeps, work
+from stress.random_scenes import Description, build, unloaded
+from stress.scene_strategy import drawn, scenes
+from stress.watched import Finished, run_watched
 
 
 def test_hangs_and_crashes_cost_a_worker_and_not_the_run() -> None:

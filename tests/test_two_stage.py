@@ -9,7 +9,7 @@ import pytest
 
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.evaluate import rollout_errors
+from pisplit.evaluation.rollouts import rollout_errors
 from pisplit.models import systems
 
 DT = 0.02

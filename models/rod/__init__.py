@@ -6,23 +6,23 @@ A scene is a rod and terms that act on it::
     arm.statics().solve(u)      arm.simulator(dt=0.03).run(U)      arm.fields(states, stations=6)
 """
 
-from pisplit.models.rod.base import Base
-from pisplit.models.rod.body import Rod
-from pisplit.models.rod.buoyancy import Buoyancy
-from pisplit.models.rod.chambers import Chambers
-from pisplit.models.rod.damping import KelvinVoigt, Retardation
-from pisplit.models.rod.distributed import DistributedWrench
-from pisplit.models.rod.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
-from pisplit.models.rod.gravity import Gravity
-from pisplit.models.rod.loads import Input
-from pisplit.models.rod.material import Elastic, Stiffness
-from pisplit.models.rod.points import PointMass, PointWrench, Spring
-from pisplit.models.rod.routing import Helix, Line
+from pisplit.models.rod.kinematics.strains import StrainSet
 from pisplit.models.rod.scene import Scene
-from pisplit.models.rod.section import Circle, GeneralSection, Tapered, Tube
-from pisplit.models.rod.strains import StrainSet
-from pisplit.models.rod.tendons import Displacement, Tendons, Tension
-from pisplit.models.rod.wrench import TipWrench
+from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.section.material import Elastic, Stiffness
+from pisplit.models.rod.section.section import Circle, GeneralSection, Tapered, Tube
+from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.buoyancy import Buoyancy
+from pisplit.models.rod.terms.chambers import Chambers
+from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
+from pisplit.models.rod.terms.distributed import DistributedWrench
+from pisplit.models.rod.terms.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
+from pisplit.models.rod.terms.gravity import Gravity
+from pisplit.models.rod.terms.loads import Input
+from pisplit.models.rod.terms.points import PointMass, PointWrench, Spring
+from pisplit.models.rod.terms.routing import Helix, Line
+from pisplit.models.rod.terms.tendons import Displacement, Tendons, Tension
+from pisplit.models.rod.terms.wrench import TipWrench
 
 __all__ = [
     "AnisotropicDrag",

@@ -11,30 +11,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array
-from pisplit.models.rod.balance import Balance, collect_inputs
-from pisplit.models.rod.base import Base
-from pisplit.models.rod.body import Rod
-from pisplit.models.rod.chambers import Chambers
-from pisplit.models.rod.damping import KelvinVoigt, Retardation
-from pisplit.models.rod.gauss import Rule
-from pisplit.models.rod.loads import Input, Term
-from pisplit.models.rod.tendons import Displacement, Tendons
+from pisplit.models.rod.equations.balance import Balance, collect_inputs
+from pisplit.models.rod.kinematics.gauss import Rule
+from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.chambers import Chambers
+from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
+from pisplit.models.rod.terms.loads import Input, Term
+from pisplit.models.rod.terms.tendons import Displacement, Tendons
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pisplit.models.rod.codegen import Exported
-    from pisplit.models.rod.compiled import CompiledScene
-    from pisplit.models.rod.coordinates import RodCoordinates
-    from pisplit.models.rod.cost import Cost
-    from pisplit.models.rod.dynamics import Simulator
-    from pisplit.models.rod.energy import Energies
-    from pisplit.models.rod.fields import Fields
-    from pisplit.models.rod.inverse import InverseSolution
-    from pisplit.models.rod.linear import Linearisation
-    from pisplit.models.rod.modes import Modes
-    from pisplit.models.rod.statics import Statics
-    from pisplit.models.rod.stepper import Stepper
+    from pisplit.models.rod.analysis.coordinates import RodCoordinates
+    from pisplit.models.rod.analysis.cost import Cost
+    from pisplit.models.rod.analysis.energy import Energies
+    from pisplit.models.rod.analysis.fields import Fields
+    from pisplit.models.rod.analysis.modes import Modes
+    from pisplit.models.rod.dynamics.integrator import Simulator
+    from pisplit.models.rod.dynamics.stepper import Stepper
+    from pisplit.models.rod.equations.linear import Linearisation
+    from pisplit.models.rod.output.codegen import Exported
+    from pisplit.models.rod.output.compiled import CompiledScene
+    from pisplit.models.rod.statics.inverse import InverseSolution
+    from pisplit.models.rod.statics.statics import Statics
 
 
 class Scene:
@@ -231,7 +231,7 @@ class Scene:
     @cached_property
     def motion_residual(self) -> ca.Function:
         """``(xi, xi_t, xi_tt, u) -> residual`` with its iteration matrix: see ``residuals.motion_residual``."""
-        from pisplit.models.rod.residuals import motion_residual
+        from pisplit.models.rod.equations.residuals import motion_residual
 
         return motion_residual(self)
 
@@ -276,14 +276,14 @@ class Scene:
 
     def statics(self) -> Statics:
         """Static equilibria: see ``Statics``; made once."""
-        from pisplit.models.rod.statics import Statics
+        from pisplit.models.rod.statics.statics import Statics
 
         found: Statics = self.__dict__.setdefault("_statics", Statics(self))
         return found
 
     def simulator(self, dt: float, **options: object) -> Simulator:
         """Dynamics over steps of ``dt`` seconds: see ``Simulator``."""
-        from pisplit.models.rod.dynamics import Simulator
+        from pisplit.models.rod.dynamics.integrator import Simulator
 
         return Simulator(self, dt, **options)  # type: ignore[arg-type]
 
@@ -293,8 +293,8 @@ class Scene:
         Takes seconds once (more for many nodes); the libraries are kept in a user cache folder. Without a C compiler
         one warning is logged and the scene is evaluated as before.
         """
-        from pisplit.models.rod.compiled import CompiledScene
-        from pisplit.models.rod.trajectory import equations_of_motion
+        from pisplit.models.rod.dynamics.trajectory import equations_of_motion
+        from pisplit.models.rod.output.compiled import CompiledScene
 
         made = CompiledScene.of(self)
         # Where the variational twin moves the scene, nothing moves by the usual equations.
@@ -306,19 +306,19 @@ class Scene:
 
     def codegen(self, path: str | Path, dt: float, substeps: int = 8, stations: int = 6) -> Exported:
         """The scene as dependency-free C with a step of fixed cost, for a controller board: see ``codegen.codegen``."""
-        from pisplit.models.rod.codegen import codegen
+        from pisplit.models.rod.output.codegen import codegen
 
         return codegen(self, path, dt, substeps, stations)
 
     def cost(self) -> Cost:
         """Instruction counts of residuals and Jacobians by term: see ``Cost``."""
-        from pisplit.models.rod.cost import cost
+        from pisplit.models.rod.analysis.cost import cost
 
         return cost(self)
 
     def stepper(self, dt: float, **options: object) -> Stepper:
         """Dynamics over steps of ``dt`` seconds by a fixed-step scheme: see ``Stepper``."""
-        from pisplit.models.rod.stepper import Stepper
+        from pisplit.models.rod.dynamics.stepper import Stepper
 
         return Stepper(self, dt, **options)  # type: ignore[arg-type]
 
@@ -327,7 +327,7 @@ class Scene:
 
         Made once. Raises ValueError for a base that moves.
         """
-        from pisplit.models.rod.variational import VariationalBalance
+        from pisplit.models.rod.equations.variational import VariationalBalance
 
         if any(isinstance(t, Base) and (t.inputs or t.moves) for t in self.terms):
             raise ValueError("variational equations need a resting base; give Base(...) a fixed pose or leave it out")
@@ -338,7 +338,7 @@ class Scene:
 
     def energies(self, x: ArrayLike) -> Energies:
         """Kinetic, elastic and gravity energy in J of states ``x`` (N, n_states): see ``Energies``."""
-        from pisplit.models.rod.energy import energies
+        from pisplit.models.rod.analysis.energy import energies
 
         return energies(self, x)
 
@@ -350,13 +350,13 @@ class Scene:
 
     def linearise(self, state: ArrayLike) -> Linearisation:
         """Linear dynamics about a state: see ``Linearisation``."""
-        from pisplit.models.rod.linear import linearise
+        from pisplit.models.rod.equations.linear import linearise
 
         return linearise(self, state)
 
     def modes(self, state: ArrayLike, number: int | None = None) -> Modes:
         """Natural frequencies, damping and shapes of the slowest modes about an equilibrium state: see ``Modes``."""
-        from pisplit.models.rod.modes import modes
+        from pisplit.models.rod.analysis.modes import modes
 
         return modes(self, state, number)
 
@@ -366,13 +366,13 @@ class Scene:
 
     def coordinates(self, stations: int | ArrayLike = 6) -> RodCoordinates:
         """The map from fields at stations to strains and their rates: see ``RodCoordinates``."""
-        from pisplit.models.rod.coordinates import rod_coordinates
+        from pisplit.models.rod.analysis.coordinates import rod_coordinates
 
         return rod_coordinates(self, stations)
 
     def field_map(self, stations: int | ArrayLike = 6) -> Fields:
         """The map from states to fields at stations, kept for reuse."""
-        from pisplit.models.rod.fields import Fields, station_points
+        from pisplit.models.rod.analysis.fields import Fields, station_points
 
         points = station_points(stations, self.rod.length)
         cache = self.__dict__.setdefault("_fields", {})

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import count, finite_array
 from pisplit.observables.columns import Base, Columns, Names, Symbol
-from pisplit.scaling import column_scales
+from pisplit.regression.scaling import column_scales
 
 Array = NDArray[np.float64]
 
@@ -42,8 +42,8 @@ class Principal(Base):
     ) -> Principal:
         """The ``number`` leading components of ``states`` (N, n), each with unit variance over them.
 
-        ``quantities``: groups of states with one scale (:func:`pisplit.scaling.column_scales`); default: all states
-        have one unit. States of a quantity in ``omit`` take no part.
+        ``quantities``: groups of states with one scale (:func:`pisplit.regression.scaling.column_scales`); default: all
+        states have one unit. States of a quantity in ``omit`` take no part.
         """
         x = finite_array(states, "states", (None, None))
         size = count(number, "number")

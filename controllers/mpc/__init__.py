@@ -1,0 +1,12 @@
+"""Linear MPC on a lifted model: condensed QP, limits, OSQP, re-linearisation along the plan."""
+
+from pisplit.controllers.mpc.condense import Condensed, condense
+from pisplit.controllers.mpc.mpc import MPC
+from pisplit.controllers.mpc.qp import QPSettings
+
+__all__ = [
+    "MPC",
+    "Condensed",
+    "QPSettings",
+    "condense",
+]

@@ -1,0 +1,244 @@
+"""Linear MPC on a lifted model: condensed QP, state-residual disturbance estimate, reference preview."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import ArpackError, eigs
+
+from pisplit.checks import Array, count, finite_array, non_negative
+from pisplit.controllers.estimation.disturbance import DisturbanceEstimator
+from pisplit.controllers.loop.history import History
+from pisplit.controllers.loop.tracking import Move, check_dt, checked_window, start_input, tracked_states
+from pisplit.controllers.mpc.condense import condense
+from pisplit.controllers.mpc.limits import input_limits
+from pisplit.controllers.mpc.problem import TrackingProblem, Weights
+from pisplit.controllers.mpc.qp import QPSettings
+from pisplit.controllers.mpc.relinearise import AlongPlan
+from pisplit.lifted.model import LiftedModel
+
+GROWTH_LIMIT = 100.0
+
+
+class MPC:
+    """Model predictive control of z+ = A z + B phi(u) (+ sum_i u_i N_i z) + c + w, y = C z + d over ``horizon`` steps.
+
+    minimise  sum_j  output_weight |y_j - r_j|^2 [mm^2]  +  rate_weight |u_j - u_{j-1}|^2 [a^2]
+                     +  input_weight |u_j - u_offset|^2 [a^2]  +  output_slack_weight s_j^2 [mm^2]
+    subject to  u_min <= u_j <= u_max,  |u_j - u_{j-1}| <= du_max,  y_min - s_j <= y_j <= y_max + s_j.
+
+    u_min, u_max, du_max: numbers or (m,), in input units, du_max per step; a = (u_max - u_min)/2 of each input. They
+    hold exactly for every applied input, and u stays in input_offset + span(input_basis) of the model.
+    ``track``: an output name of the model or state indices; ``axes`` picks coordinates of it, e.g. (0, 1).
+    ``output_weight``: a number or one per tracked output, for outputs in metres. A stiff arm with a model linear in u
+    wants a ``rate_weight`` near 1e4, a soft arm near 100. y_min, y_max: numbers or (p,) in output units, infinite or
+    None where absent; soft, so that the problem always has a solution.
+    ``estimator_gain``: 0 (no disturbance estimate) to 1. ``dt``: if given, must be the model's.
+
+    The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by
+    regression, the residual of the read-out at the measured state is added to all predicted outputs.
+
+    A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear model
+    is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model.
+
+    Source: Rawlings, Mayne and Diehl, Model Predictive Control (2017), chapter 1; Korda and Mezic, Automatica 93
+    (2018).
+    """
+
+    def __init__(
+        self,
+        model: LiftedModel,
+        horizon: int,
+        u_min: ArrayLike,
+        u_max: ArrayLike,
+        du_max: ArrayLike,
+        track: str | Sequence[int] = "tip",
+        axes: Sequence[int] | None = None,
+        output_weight: ArrayLike = 1.0,
+        rate_weight: float = 1e4,
+        input_weight: float = 0.0,
+        estimator_gain: float = 0.3,
+        dt: float | None = None,
+        y_min: ArrayLike | None = None,
+        y_max: ArrayLike | None = None,
+        output_slack_weight: float = 1e3,
+        qp: QPSettings | None = None,
+    ) -> None:
+        self.model = model
+        self.horizon = count(horizon, "horizon")
+        check_dt(model, dt)
+        self.track, self.axes, self.tracked = tracked_states(model, track, axes)
+        self._limits = input_limits(
+            u_min, u_max, du_max, model.n_inputs, model.input_offset, np.asarray(model.input_basis)
+        )
+        p, H = len(self.tracked), self.horizon
+        rows = list(self.tracked)
+        self._read, self._read_offset = model.C[rows], model.d[rows]
+        self._condensed = condense(model.A, model.B, model.c, self._read, self._read_offset, H)
+        _warn_of_growth(model.A, H)
+        self._plan: Array | None = None
+        self._estimator = DisturbanceEstimator(model.A, model.B, model.c, estimator_gain)
+        self._response = self._condensed.response()
+        self._linear = model.linear_in_u
+        weights = Weights(
+            output=_each_output(output_weight, "output_weight", p),
+            rate=non_negative(rate_weight, "rate_weight"),
+            input=non_negative(input_weight, "input_weight"),
+            slack=non_negative(output_slack_weight, "output_slack_weight"),
+        )
+        if not (weights.output.any() and (weights.output >= 0.0).all() and np.isfinite(weights.output).all()):
+            raise ValueError(f"output_weight = {output_weight!r}; expected finite weights, none negative, one positive")
+        low = np.full(p, -np.inf) if y_min is None else _each_output(y_min, "y_min", p)
+        high = np.full(p, np.inf) if y_max is None else _each_output(y_max, "y_max", p)
+        if (low >= high).any():
+            raise ValueError(f"y_min = {low} is not below y_max = {high}; give every output a range")
+        limits = self._limits
+        self._T = limits.basis * limits.amplitude.mean()
+        self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.is_bilinear else None
+        centre = limits.offset + limits.basis @ limits.coordinates(0.5 * (limits.u_min + limits.u_max))
+        if self._along is None:
+            S, _ = self._linearise(np.tile(centre, (H, 1)), np.zeros((H, self._T.shape[1])))
+        else:
+            D = model.n_delays
+            z = model.lift(np.zeros((D + 1, model.n_states)), np.tile(centre, (D, 1)))
+            S, _ = self._along(z, np.zeros(model.n_lifted), np.tile(centre, (H, 1)))
+        self._problem = TrackingProblem(H, limits, weights, low, high, S, qp or QPSettings())
+        if self._linear:
+            self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)
+        self._start(np.clip(np.zeros(model.n_inputs), limits.u_min, limits.u_max))
+
+    @property
+    def u_min(self) -> Array:
+        """Lower input limits (m,)."""
+        return self._limits.u_min
+
+    @property
+    def u_max(self) -> Array:
+        """Upper input limits (m,)."""
+        return self._limits.u_max
+
+    @property
+    def du_max(self) -> Array:
+        """Largest input change (m,) per step."""
+        return self._limits.du_max
+
+    @property
+    def disturbance(self) -> Array:
+        """Current disturbance estimate w (M,) of the lifted state, per step."""
+        return self._estimator.disturbance
+
+    def reset(self, u0: ArrayLike | None = None) -> None:
+        """Forget history, plan and disturbance; the arm rests under u0 (m,), zeros if not given."""
+        self._start(start_input(u0, self.u_min, self.u_max))
+        self._estimator.reset()
+        self._problem.restart()
+
+    def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
+        """The move after measuring x (n,), with the reference (H, p) of steps k+1 .. k+H (NaN: free output).
+
+        Where no accepted solution exists the last good plan goes on, shifted, and at its end the input is held.
+        Raises ValueError on wrong shapes and on measurements that are not finite.
+        """
+        wall, cpu = time.perf_counter(), time.thread_time()
+        r = checked_window(reference_window, self.horizon, len(self.tracked)).ravel()
+        x = finite_array(x_measured, "x_measured", (self.model.n_states,))
+        problem, limits, history = self._problem, self._limits, self._history
+
+        history.measure(x)
+        with np.errstate(over="ignore", invalid="ignore"):  # a lift that overflows ends as a status, not as a warning
+            z = self.model.lift(history.states, history.inputs)
+            w = self._estimator.update(z)
+            v_previous = limits.coordinates(history.u_previous) / problem.scale
+            plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
+            S, y_free = self._response_along(z, w, problem.moves(plan))
+            # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
+            y_free += np.tile(x[list(self.tracked)] - self._read @ z - self._read_offset, self.horizon)
+            result = problem.solve(y_free, r, v_previous, plan, S)
+            self._plan = plan if result.x is None else result.x
+            wanted = limits.offset + self._T @ problem.moves(self._plan)[0]
+            u = limits.project(wanted, history.u_previous)
+            self._estimator.predict(z, u if self._linear else self.model.features(u[None, :])[0], self._products(z, u))
+            predicted = problem.outputs(y_free, self._plan)
+        history.apply(u)
+        return Move(
+            u=u,
+            status=result.status,
+            fallback=result.x is None,
+            iterations=result.iterations,
+            solve_time=time.perf_counter() - wall,
+            cpu_time=time.thread_time() - cpu,
+            predicted=predicted,
+        )
+
+    def _start(self, u0: Array) -> None:
+        self._history = History(self.model.n_delays, self.model.n_states, u0)
+        self._plan = None
+
+    def _response_along(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
+        """S (H p, H r), or None where it never changes, and y_free (H p,) for a plan v (H, r): y = y_free + S v."""
+        u = self._limits.offset + v @ self._T.T
+        if self._along is not None:
+            S, y = self._along(z, w, u)
+            return S, y - S @ v.ravel()
+        y_free = self._condensed.free @ z + self._condensed.disturbance @ w + self._condensed.constant
+        if self._linear:
+            return None, y_free + self._offset_response
+        S, y_features = self._linearise(u, v)
+        return S, y_free + y_features
+
+    def _products(self, z: Array, u: Array) -> Array | None:
+        """sum_i u_i N_i z (M,) of a bilinear model."""
+        term = self.model.bilinear_term
+        if term is None:
+            return None
+        products = np.zeros(self.model.n_lifted)
+        products[term.rows] = term(z, u)
+        return products
+
+    def _linearise(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """S (H p, H r) and the constant part (H p,) of the outputs, for features linearised at u (H, m) = u(v)."""
+        H, p, _, P = self._response.shape
+        if self._linear:
+            JT = np.broadcast_to(self._T, (H, *self._T.shape))
+            value = u
+        else:
+            JT = self.model.feature_jacobian(u) @ self._T
+            value = self.model.features(u)
+        G = self._response.reshape(H * p, H, P)
+        S = np.matmul(G.transpose(1, 0, 2), JT).transpose(1, 0, 2).reshape(H * p, -1)
+        return S, self._response.reshape(H * p, H * P) @ value.ravel() - S @ v.ravel()
+
+
+def _each_output(value: ArrayLike, name: str, n_outputs: int) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.ndim == 0:
+        array = np.full(n_outputs, array)
+    if array.shape != (n_outputs,) or np.isnan(array).any():
+        raise ValueError(f"{name} = {value!r}; expected a number or {n_outputs} numbers")
+    return array
+
+
+def _warn_of_growth(A: Array, horizon: int) -> None:
+    """Warn if predictions grow so much over the horizon that the QP loses its digits."""
+    radius = _spectral_radius(A)
+    growth = radius**horizon
+    if growth > GROWTH_LIMIT:
+        warnings.warn(
+            f"the model's spectral radius {radius:.4f} grows {growth:.2g} times over {horizon} steps; "
+            "the QP is ill-conditioned: shorten the horizon or regularise the fit",
+            stacklevel=3,
+        )
+
+
+def _spectral_radius(A: Array) -> float:
+    if len(A) > 50:
+        start = np.random.default_rng(0).standard_normal(len(A))
+        try:
+            return float(np.abs(eigs(A, k=1, which="LM", v0=start, tol=1e-3, return_eigenvectors=False)).max())
+        except ArpackError:  # clustered eigenvalues: all of them then, in a second rather than in milliseconds
+            pass
+    return float(np.abs(np.linalg.eigvals(A)).max())

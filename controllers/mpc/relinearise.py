@@ -1,0 +1,45 @@
+"""Prediction of a bilinear model along a plan, and its derivative by the planned inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.dictionary.products import Transition
+from pisplit.lifted.model import LiftedModel
+
+
+class AlongPlan:
+    """Outputs y = C z + d of z+ = A z + B phi(u) + sum_i u_i N_i z + c + w along a plan, and their first derivative.
+
+    ``read`` (p, M) and ``offset`` (p,) are the rows of C and d that are tracked, T (m, r) = du/dv.
+    """
+
+    def __init__(self, model: LiftedModel, read: Array, offset: Array, T: Array) -> None:
+        if model.bilinear_term is None:
+            raise ValueError("the model is not bilinear; condense it once")
+        self._model, self._term = model, model.bilinear_term
+        self._transition = Transition(model.A)
+        self._read, self._offset, self._T = read, offset, T
+
+    def __call__(self, z: Array, w: Array, u: Array) -> tuple[Array, Array]:
+        """S (H p, H r) = dy/dv and y (H p,) at steps k+1 .. k+H from z_k (M,) under u (H, m), disturbance w (M,)."""
+        model, term, T = self._model, self._term, self._T
+        H, p, r = len(u), len(self._read), T.shape[1]
+        forcing = model.features(u) @ model.B.T + (model.c + w)
+        by_features = model.B @ (model.feature_jacobian(u) @ T)  # (H, M, r)
+        S, y = np.zeros((H, p, H * r)), np.empty((H, p))
+        sensitivity = np.zeros((model.n_lifted, 0))
+        for j in range(H):
+            grown = np.empty((model.n_lifted, (j + 1) * r))
+            if j:
+                grown[:, :-r] = self._transition(sensitivity)
+                grown[term.rows, :-r] += term.matrix(u[j]) @ sensitivity[term.columns]
+            grown[:, -r:] = by_features[j]
+            grown[term.rows, -r:] += term.slopes(z) @ T
+            following = self._transition(z) + forcing[j]
+            following[term.rows] += term(z, u[j])
+            z, sensitivity = following, grown
+            S[j, :, : (j + 1) * r] = self._read @ sensitivity
+            y[j] = self._read @ z + self._offset
+        return S.reshape(H * p, H * r), y.ravel()

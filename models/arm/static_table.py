@@ -1,0 +1,130 @@
+"""The static map of a tendon arm as a smooth table: input observables that cost microseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from pisplit.checks import Array, count, finite_array, positive
+from pisplit.models.arm.tendon_arm import TendonArm
+
+#: Part of the table that its edges are taken at.
+INSIDE = 1.0 - 1e-9
+
+
+@dataclass(frozen=True)
+class EquilibriumTable:
+    """Equilibrium strains and station positions as a cubic spline over differential displacements.
+
+    Attributes:
+        arm: the arm.
+        function: CasADi ``u (m,) -> [strains xi (n,), positions (3 S,)]``; only the differential part of u counts, the
+            common displacement is that of the arm at rest. Outside the table it is that of the nearest edge.
+        names, quantities: of its entries; strains share the scaling group of the rod coordinates.
+        n_strains: number of strains n.
+        half_width: largest differential displacement in m along each axis of the table.
+        error: largest position error in m at the centres of its cells, against the statics.
+    """
+
+    arm: TendonArm
+    function: ca.Function
+    names: tuple[str, ...]
+    quantities: tuple[str, ...]
+    n_strains: int
+    half_width: float
+    error: float
+
+    def displacements(self, moves: Array) -> Array:
+        """Inputs (m,) of differential moves (2,) in m along the axes of the table."""
+        inputs: Array = self.arm.rest_inputs + self.arm.differential_basis @ moves
+        return inputs
+
+    def inverse(self, target: ArrayLike, guess: ArrayLike | None = None) -> Array:
+        """Displacements (m,) whose equilibrium has its tip at ``target`` (3,) in m; NaN coordinates are free.
+
+        Gauss-Newton from differential moves ``guess`` (2,); the nearest point where the tip cannot get there.
+        """
+        wanted = _target(target)
+        given = np.flatnonzero(np.isfinite(wanted))
+        rows = len(self.names) - 3 + given
+        value, slope = self._derivatives
+
+        def miss(moves: Array) -> Array:
+            return 1e3 * (np.asarray(value(self.displacements(moves))).ravel()[rows] - wanted[given])
+
+        def sensitivity(moves: Array) -> Array:
+            return 1e3 * np.asarray(slope(self.displacements(moves)))[rows] @ self.arm.differential_basis
+
+        start = np.zeros(2) if guess is None else np.clip(finite_array(guess, "guess", (2,)), *self._box)
+        found = least_squares(miss, start, jac=sensitivity, bounds=self._box, x_scale=1e-3, xtol=1e-12, ftol=1e-15)
+        return self.displacements(found.x)
+
+    @property
+    def _box(self) -> tuple[Array, Array]:
+        return np.full(2, -self.half_width), np.full(2, self.half_width)
+
+    @cached_property
+    def _derivatives(self) -> tuple[ca.Function, ca.Function]:
+        u = ca.MX.sym("u", self.arm.scene.n_inputs)
+        return self.function, ca.Function("slope", [u], [ca.jacobian(self.function(u), u)])
+
+
+def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, points: int = 33) -> EquilibriumTable:
+    """Solve the statics on a grid of differential displacements and fit a spline.
+
+    Raises RuntimeError where the statics have no solution on the grid.
+    """
+    positive(half_width, "half_width", "m")
+    count(points, "points", 8)
+    basis = arm.differential_basis
+    grid = np.linspace(-half_width, half_width, points)
+    values, strains = _solve(arm, basis, grid, stations)
+    table = ca.interpolant("equilibrium", "bspline", [grid, grid], values.transpose(2, 0, 1).ravel(order="F"))
+    u = ca.MX.sym("u", arm.scene.n_inputs)
+    moves = ca.DM(basis.T) @ (u - ca.DM(arm.rest_inputs))
+    edge = half_width * INSIDE  # CasADi's splines are zero on and beyond the upper edge
+    function = ca.Function("equilibrium", [u], [table(ca.fmax(-edge, ca.fmin(edge, moves)))], ["u"], ["x_eq"])
+    centres = 0.5 * (grid[1:] + grid[:-1])[:: max(1, points // 8)]
+    exact, _ = _solve(arm, basis, centres, stations)
+    at = np.array(np.meshgrid(centres, centres, indexing="ij")).reshape(2, -1)
+    difference = np.asarray(table.map(at.shape[1])(at)).T - exact.reshape(at.shape[1], -1)
+    coordinates = arm.scene.coordinates(stations)
+    positions = tuple(f"p_{axis}[{k + 1}]" for k in range(stations) for axis in "xyz")
+    return EquilibriumTable(
+        arm=arm,
+        function=function,
+        names=tuple(f"{name}_eq" for name in (*coordinates.names[:strains], *positions)),
+        quantities=(*coordinates.quantities[:strains], *("p",) * len(positions)),
+        n_strains=strains,
+        half_width=half_width,
+        error=float(np.abs(difference[:, strains:]).max()),
+    )
+
+
+def _target(target: ArrayLike) -> Array:
+    try:
+        wanted = np.asarray(target, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"target is not numeric: got {target!r}; give three coordinates in m") from None
+    if wanted.shape != (3,) or np.isinf(wanted).any() or np.isnan(wanted).all():
+        raise ValueError(f"target = {wanted.tolist()}; expected three coordinates in m, at least one of them not NaN")
+    return wanted
+
+
+def _solve(arm: TendonArm, basis: Array, grid: Array, stations: int) -> tuple[Array, int]:
+    """Strains and positions (G, G, n + 3 S) at every pair of grid values."""
+    moves = np.array(np.meshgrid(grid, grid, indexing="ij")).reshape(2, -1).T @ basis.T
+    batch = arm.scene.statics().solve_many(arm.rest_inputs + moves)
+    if not batch.success.all():
+        worst = moves[int(np.argmin(batch.success))]
+        raise RuntimeError(
+            f"no equilibrium at differential displacements {worst.tolist()} m; choose a smaller half_width"
+        )
+    n = arm.scene.n_strains
+    positions = arm.scene.fields(batch.states, stations)[..., :3].reshape(len(moves), -1)
+    return np.hstack([batch.states[:, :n], positions]).reshape(len(grid), len(grid), -1), n

@@ -1,0 +1,95 @@
+"""The tendon-driven arm of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.models import rod
+from pisplit.models.calibration.parametrised import CalibratedTendons
+from pisplit.models.rod.terms.routing import sample
+
+
+@dataclass(frozen=True)
+class TendonArm:
+    """An elastic backbone with parallel tendons that are pulled by displacements.
+
+    Attributes:
+        scene: backbone, environment and tendons: the arm itself.
+        passive: the same without tendons: the known part f.
+        pretension: common displacement in m of all tendons at rest; it keeps them taut.
+        amplitude: usual size in m of differential displacements.
+    """
+
+    scene: rod.Scene
+    pretension: float
+    amplitude: float
+
+    @classmethod
+    def paper(cls, nodes: int = 5) -> TendonArm:
+        """The arm of the paper: three tendons at 0, 120 and 240 degrees on a steel backbone of 0.7144 m.
+
+        The paper does not print its numbers; it refers to those of Till, Aloi & Rucker (*Real-time dynamics of soft and
+        continuum robots based on Cosserat rod models*, IJRR 2019). These are the parameters of the public tendon-robot
+        example that goes with that article: E = 207 GPa, G = E / 2.6, radius 0.675 mm, total mass 0.034 kg, tendon
+        offset 15.06 mm, tendon compliance 1e-4 1/N, bending and torsion damping 5e-4 N m^2 s, quadratic drag
+        1e-4 N s^2/m^3, gravity 9.81 m/s^2 along -x (the arm points sideways).
+        """
+        length, radius = 0.7144, 0.675e-3
+        section = rod.Circle(radius)
+        material = rod.Elastic(young=207e9, shear=207e9 / 2.6, density=0.034 / (length * section.area))
+        scene = rod.Scene(
+            rod.Rod(length=length, section=section, material=material, strains="kirchhoff"),
+            rod.Gravity((-9.81, 0.0, 0.0)),
+            rod.KelvinVoigt(bending=5e-4, torsion=5e-4),
+            rod.QuadraticDrag(1e-4),
+            rod.Tendons.parallel(offset=15.06e-3, angles_deg=(0, 120, 240), drive=rod.Displacement(compliance=1e-4)),
+            nodes=nodes,
+        )
+        return cls(scene, pretension=1e-3, amplitude=10e-3)
+
+    @classmethod
+    def prototype(cls, nodes: int = 5) -> TendonArm:
+        """A softer arm with weak tendons: 0.5 m of steel wire of 1 mm radius (E = 207 GPa, 8000 kg/m^3).
+
+        Three tendons at 15 mm with 1.6 mm/N, bending and torsion damping 2e-3 N m^2 s, quadratic drag 3e-3 N s^2/m^3,
+        gravity along -x, no pretension: under zero-sum displacements of 12 mm some tendons always hang loose.
+        """
+        length = 0.5
+        material = rod.Elastic(young=207e9, shear=207e9 / 2.6, density=8000.0)
+        scene = rod.Scene(
+            rod.Rod(length=length, section=rod.Circle(1e-3), material=material, strains="kirchhoff"),
+            rod.Gravity((-9.81, 0.0, 0.0)),
+            rod.KelvinVoigt(bending=2e-3, torsion=2e-3),
+            rod.QuadraticDrag(3e-3),
+            rod.Tendons.parallel(
+                offset=15e-3, angles_deg=(0, 120, 240), drive=rod.Displacement(compliance=1.6e-3 / length)
+            ),
+            nodes=nodes,
+        )
+        return cls(scene, pretension=0.0, amplitude=12e-3)
+
+    @property
+    def passive(self) -> rod.Scene:
+        """The arm without its tendons."""
+        return self.scene.without(rod.Tendons).without(CalibratedTendons)
+
+    @property
+    def tendon_angles(self) -> Array:
+        """Angle (m,) of each tendon about the backbone at its base in rad."""
+        tendons = next(t for t in self.scene.terms if isinstance(t, rod.Tendons | CalibratedTendons))
+        base = [sample(route, np.zeros(1), self.scene.rod.length)[0][:2, 0] for route in tendons.offsets]
+        return np.arctan2(*np.asarray(base).T[::-1])
+
+    @property
+    def differential_basis(self) -> Array:
+        """Orthonormal basis (m, 2) of the displacements that bend the arm: cosine and sine over the tendon angles."""
+        angles = self.tendon_angles
+        return np.linalg.qr(np.stack([np.cos(angles), np.sin(angles)], axis=1))[0]
+
+    @property
+    def rest_inputs(self) -> Array:
+        """Displacements (m,) of the pretensioned arm at rest."""
+        return np.full(self.scene.n_inputs, self.pretension)

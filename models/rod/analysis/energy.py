@@ -1,0 +1,181 @@
+"""Energy accounts of a scene: what is stored, what every term does to the rod, what is lost."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, finite_array
+from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.buoyancy import Buoyancy
+from pisplit.models.rod.terms.gravity import Gravity
+from pisplit.models.rod.terms.loads import Term, by_row
+from pisplit.models.rod.terms.points import PointMass
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.scene import Scene
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Stored energies in J of N states: kinetic, elastic (of the rod) and gravity (of constant gravity), each (N,)."""
+
+    kinetic: Array
+    elastic: Array
+    gravity: Array
+
+    @property
+    def total(self) -> Array:
+        """Their sum (N,)."""
+        return self.kinetic + self.elastic + self.gravity
+
+
+@dataclass(frozen=True)
+class EnergyAccount:
+    """Energies along a trajectory in J.
+
+    Attributes:
+        t: (T+1,) in s.
+        stored: kinetic, elastic and gravity energy (T+1,).
+        work: name of a term -> work (T+1,) that it has done on the rod since the start. Tendons and springs count here:
+            one that is stretched takes energy from the rod and gives it back later.
+        dissipated: energy (T+1,) that terms which act on rates alone (damping, drag) have taken since the start.
+    """
+
+    t: Array
+    stored: Energies
+    work: dict[str, Array]
+    dissipated: Array
+
+    @property
+    def imbalance(self) -> Array:
+        """Gain of stored energy + dissipated energy - work (T+1,): the error of the time integration."""
+        gain = self.stored.total - self.stored.total[0]
+        imbalance: Array = gain + self.dissipated - sum(self.work.values(), np.zeros_like(gain))
+        return imbalance
+
+
+def energies(scene: Scene, x: ArrayLike) -> Energies:
+    """Stored energies of states ``x`` (N, n_states)."""
+    states = finite_array(x, "x", (None, scene.n_states))
+    n = scene.n_strains
+    parts = stored(scene).map(len(states))(states[:, :n].T, states[:, n : 2 * n].T) if len(states) else np.empty((3, 0))
+    kinetic, elastic, gravity = (np.asarray(part).ravel() for part in parts)
+    return Energies(kinetic, elastic, gravity)
+
+
+def account(scene: Scene, t: Array, x: Array, work: Array) -> EnergyAccount:
+    """Energies along states ``x`` (T+1, n_states) from the work of the terms (T+1, n_terms); see ``powers``."""
+    names = term_names(scene)
+    weights = _weight_terms(scene)
+    others = [i for i, term in enumerate(scene.terms) if term not in weights]
+    lost = [i for i in others if _acts_on_rates(scene, scene.terms[i])]
+    kept = [i for i in others if i not in lost]
+    return EnergyAccount(t, energies(scene, x), {names[i]: work[:, i] for i in kept}, -work[:, lost].sum(axis=1))
+
+
+def term_names(scene: Scene) -> tuple[str, ...]:
+    """A name for every term: its type, numbered where there are several of them."""
+    kinds = [type(term).__name__ for term in scene.terms]
+    seen: Counter[str] = Counter()
+    names = []
+    for kind in kinds:
+        seen[kind] += 1
+        names.append(kind if kinds.count(kind) == 1 else f"{kind} {seen[kind]}")
+    return tuple(names)
+
+
+def stored(scene: Scene) -> ca.Function:
+    """``(xi, xi_t) -> kinetic, elastic, gravity`` energy in J.
+
+    Kinetic energy is half the rates times the mass matrix of the balance, elastic energy half the strains times the
+    stress of the rod alone: the Gauss quadrature of the usual densities, for everything that has mass or stiffness.
+    """
+    if "_stored" not in scene.__dict__:
+        _check_base(scene)
+        xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
+        weights = ca.DM(_weights(scene))
+        momentum = -weights * ca.jtimes(balance.residual, xi_tt, xi_t)
+        rest = _residual(scene, (), xi, ca.SX(scene.n_strains, 1), u)
+        elastic = -0.5 * ca.dot(xi - ca.DM(scene.rest_coordinates), weights * rest)
+        parts = [0.5 * ca.dot(xi_t, momentum), elastic, _potential(scene, xi)]
+        scene.__dict__["_stored"] = ca.Function("stored", [xi, xi_t], parts, {"cse": True})
+    found: ca.Function = scene.__dict__["_stored"]
+    return found
+
+
+def powers(scene: Scene) -> ca.Function:
+    """``(xi, xi_t, u) -> power`` (n_terms,) in W that every term puts into the motion of the rod.
+
+    The power of a term is what it adds to the balance, times the rates, integrated along the rod. Inertia of added
+    masses is kinetic energy and not part of it; their weight is.
+    """
+    if "_powers" not in scene.__dict__:
+        _check_base(scene)
+        n = scene.n_strains
+        xi, xi_t, u = ca.SX.sym("xi", n), ca.SX.sym("xi_t", n), ca.SX.sym("u", scene.n_inputs)
+        gravity = tuple(t for t in scene.terms if isinstance(t, Gravity))
+        rates = ca.DM(_weights(scene)) * xi_t
+        work = []
+        for term in scene.terms:
+            beside = () if isinstance(term, Gravity) else gravity  # masses read the gravity for their weight
+            load = _residual(scene, (*beside, term), xi, xi_t, u) - _residual(scene, beside, xi, xi_t, u)
+            work.append(ca.dot(rates, load))
+        total = ca.vertcat(ca.SX(0, 1), *work)
+        scene.__dict__["_powers"] = ca.Function("powers", [xi, xi_t, u], [total], {"cse": True})
+    found: ca.Function = scene.__dict__["_powers"]
+    return found
+
+
+def _acts_on_rates(scene: Scene, term: Term) -> bool:
+    """Whether a term leaves a rod at rest alone."""
+    xi, u = ca.SX.sym("xi", scene.n_strains), ca.SX.sym("u", scene.n_inputs)
+    loads = replace(scene.balance(xi, ca.SX(*xi.shape), None, u), terms=(term,)).loads
+    parts = (loads.force, loads.moment, loads.tip_force, loads.tip_moment, loads.stress_w, loads.stress_v)
+    return all(part.is_zero() for part in (*parts, loads.point_force))
+
+
+def _weight_terms(scene: Scene) -> tuple[Term, ...]:
+    """Terms whose load is weight in a constant gravity; none when the gravity is an input."""
+    gravity = [t for t in scene.terms if isinstance(t, Gravity)]
+    if any(t.inputs for t in gravity):
+        return ()
+    return tuple(t for t in scene.terms if isinstance(t, Gravity | Buoyancy | PointMass))
+
+
+def _potential(scene: Scene, xi: ca.SX) -> ca.SX:
+    """Potential energy of the weights in J, zero where the base of the world axes is."""
+    u = ca.SX.sym("u", scene.n_inputs)
+    balance = scene.balance(xi, ca.SX(*xi.shape), None, u)
+    motion, moment = balance.motion, ca.SX(3, 1)  # moment: int rho A p, plus added masses, less the displaced medium
+    for term in _weight_terms(scene):
+        if isinstance(term, Gravity):
+            moment += motion.total(motion.position * by_row(motion.profile.mass, 3))
+        elif isinstance(term, Buoyancy):
+            moment -= term.density * motion.total(motion.position * by_row(motion.profile.area, 3))
+        elif isinstance(term, PointMass):
+            arm = motion.frame_at(term.s) @ ca.SX(ca.DM(list(term.offset)))
+            moment += term.mass * (motion.position_at([term.s]) + arm)
+    return -ca.dot(balance.loads.gravity, moment) if _weight_terms(scene) else ca.SX(0.0)
+
+
+def _residual(scene: Scene, terms: tuple[Term, ...], xi: ca.SX, xi_t: ca.SX, u: ca.SX) -> ca.SX:
+    """Residual of the rod with some of the terms, without inertia."""
+    return replace(scene.balance(xi, xi_t, None, u), terms=terms).residual
+
+
+def _weights(scene: Scene) -> Array:
+    """Quadrature weight of every coordinate (n_strains,)."""
+    return np.repeat(scene.rule.weights, scene.rod.strain_set.n_fields)
+
+
+def _check_base(scene: Scene) -> None:
+    if any(isinstance(t, Base) and (t.inputs or t.moves) for t in scene.terms):
+        raise ValueError(
+            "energies are those of a rod on a resting base; give Base(...) a fixed pose and nothing that moves"
+        )

@@ -1,0 +1,1 @@
+"""Motion: IDAS on the implicit equations, fixed-step Gauss collocation, trajectories."""

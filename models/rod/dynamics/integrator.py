@@ -1,0 +1,172 @@
+"""Dynamics by IDAS: a whole trajectory as one call, or one step at a time."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, NoReturn
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, one_of, positive
+from pisplit.models.rod.analysis.energy import powers
+from pisplit.models.rod.dynamics.trajectory import Propagation
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.scene import Scene
+
+#: Order limit of the BDF formulas where nothing damps the free strains: orders above 2 are unstable on undamped waves.
+UNDAMPED_ORDER = 2
+#: Internal steps over one control interval, or over one natural period where that is longer, after which IDAS gives up.
+#: Ordinary motions take 20 to 200 of them.
+MAX_STEPS = 10_000
+#: The same where some free strain is not damped: waves take a few thousand, under jumping tendons up to 25 000.
+MAX_STEPS_UNDAMPED = 50_000
+#: The same while many intervals are one call: a run that is bound to fail spends its steps in one interval and once.
+MAX_STEPS_TOGETHER = 2_000
+#: Ways to start IDAS in the order they are tried: what of y0' the motion of ``Simulator._build`` carries (strain rates,
+#: accelerations), and whether ``calc_ic`` corrects the start. Carried strain rates make smooth starts so easy that IDAS
+#: doubles its step, fails the error test, and stays at order 1 for the whole interval, ten times as many steps: they
+#: are the second choice, for the few starts that fail without. Shapes far from the slow motions of the rod, whose
+#: first accelerations are 1e7 times those that follow, start with ``calc_ic`` from plain states.
+STARTS = ((0.0, 1.0, False), (1.0, 1.0, False), (0.0, 0.0, True))
+
+
+class Simulator(Propagation):
+    """Motion of a scene in steps of ``dt``; also the plant of a closed loop.
+
+    Args:
+        scene: what moves.
+        dt: control interval in s.
+        rtol: relative tolerance of IDAS; absolute tolerances are ``rtol`` times the nominal size of each state.
+        hold: ``"first"``: inputs move linearly to the command over the step, as a servo does; ``"zero"``: they jump at
+            its start (2 to 10 times as many integrator steps).
+        stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
+        balance: ``"auto"``, ``"direct"`` or ``"variational"`` equations: see ``equations_of_motion``.
+
+    The iteration matrix of the integrator takes the inertia forces as dead loads: how they change with shape and rate
+    is left out (it scales with the square of the internal step, about 1 ms), how they stiffen the shape is not: without
+    that part one trajectory in ten takes 5 to 10 times as many iterations. Same answer, 60 % of the cost.
+    """
+
+    scheme = "IDAS"
+    counters = ("nsteps", "nlinsetups", "netfails")
+
+    def __init__(
+        self,
+        scene: Scene,
+        dt: float,
+        rtol: float = 1e-4,
+        hold: str = "first",
+        stations: int | ArrayLike = 6,
+        balance: str = "auto",
+    ) -> None:
+        super().__init__(scene, dt, stations, balance)
+        self.rtol = positive(rtol, "Simulator rtol")
+        if not 1e-12 <= self.rtol <= 0.1:
+            raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
+        self.hold = one_of(hold, "Simulator hold", ("first", "zero"))
+        self._integrators: dict[tuple[int, bool, bool], ca.Function] = {}
+
+    def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
+        """States [xi, xi_t] after each command.
+
+        One interval takes the first start (see ``_build``) that IDAS does; many take the first of all or fail, and
+        ``run`` goes on interval by interval. Too much work is the fault of the motion: no other start is tried.
+        """
+        n, steps = self.scene.n_strains, len(commands)
+        if self.hold == "first":
+            origin = np.vstack([start[2 * n :], commands[:-1]])
+            slope = (commands - origin) / self.dt
+        else:
+            origin, slope = commands, np.zeros_like(commands)
+        controls = np.hstack([origin, slope, self.dt * np.arange(steps)[:, None]])
+        t = self.dt * np.arange(1, steps + 1)
+        moving = start[n : 2 * n]
+        accelerations = np.asarray(self.equations.acceleration(start[:n], moving, origin[0])).ravel()
+        failure: RuntimeError | None = None
+        for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
+            integrator = self._integrator(steps, correct, energy)
+            rates = np.concatenate([of_strains * moving, of_rates * accelerations])
+            given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates])}
+            try:
+                found = integrator(**given, u=controls.T)
+            except RuntimeError as error:
+                failure = error
+                if "IDA_TOO_MUCH_WORK" in str(error):
+                    break
+                continue
+            states = start[: 2 * n] + self.dt * -np.expm1(-t / self.dt)[:, None] * rates + np.asarray(found["xf"]).T
+            if energy:
+                states = np.hstack([states, np.asarray(found["qf"]).T])
+            if np.all(np.isfinite(states)):
+                stats = integrator.stats()
+                return states, {name: int(str(stats.get(name, 0))) for name in self.counters}
+            failure = RuntimeError("the integrator returned states that are not finite")
+        assert failure is not None
+        raise failure
+
+    def sensitivity(self, x: ArrayLike, u: ArrayLike) -> NoReturn:
+        """Not from IDAS, whose forward sensitivities take minutes on a spatial rod: see ``Stepper.sensitivity``."""
+        raise NotImplementedError(
+            "IDAS gives no derivatives of a step; use scene.stepper(dt, step=...).sensitivity(x, u), of fixed steps"
+        )
+
+    # The integrator --------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _balance(self) -> ca.Function:
+        """The residual with its simplified iteration matrix: see ``motion_residual``."""
+        return self.equations.native(self.equations.motion_residual)
+
+    def _integrator(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
+        key = (steps, correct_first, energy)
+        if key not in self._integrators:
+            self._integrators[key] = self._build(*key)
+        return self._integrators[key]
+
+    def _build(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
+        """IDAS over a grid of steps, in the deviation from a motion with the right first derivative.
+
+        CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: with plain states 7 %
+        of the starts fail, with ``calc_ic`` a step costs twice as much. With
+        y = y0 + y0' T (1 - exp(-t/T)) + deviation, the deviation truly starts with zero derivative; ``STARTS`` says
+        what of y0' is carried so.
+        """
+        scene = self.equations
+        n, m = scene.n_strains, scene.n_inputs
+        deviation, z = ca.MX.sym("deviation", 2 * n), ca.MX.sym("z", n)
+        start = ca.MX.sym("start", 4 * n)
+        control, t = ca.MX.sym("control", 2 * m + 1), ca.MX.sym("t")
+        fade = ca.exp(-t / self.dt)
+        x = start[: 2 * n] + self.dt * (1.0 - fade) * start[2 * n :] + deviation
+        u = control[:m] + control[m : 2 * m] * (t - control[2 * m])
+        dae = {
+            "x": deviation,
+            "z": z,
+            "p": start,
+            "u": control,
+            "t": t,
+            "ode": ca.vertcat(x[n:], z) - fade * start[2 * n :],
+            "alg": self._balance(x[:n], x[n:], z, u),
+        }
+        if energy:
+            dae["quad"] = powers(scene)(x[:n], x[n:], u)
+        rate, alone = scene.rod.bending_rate, MAX_STEPS if scene.damped else MAX_STEPS_UNDAMPED
+        most = alone if steps == 1 else MAX_STEPS_TOGETHER
+        rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
+        nominal = np.concatenate([scene.nominal_strains * rates**k for k in range(3)])
+        options = {
+            "reltol": self.rtol,
+            "abstolv": (self.rtol * nominal).tolist(),
+            "suppress_algebraic": True,
+            "calc_ic": correct_first,
+            "linear_solver": "csparse",
+            "max_num_steps": int(most * max(1.0, self.dt * rate / (2.0 * np.pi))),
+            "max_multistep_order": 5 if scene.damped else UNDAMPED_ORDER,
+            "disable_internal_warnings": True,
+            "show_eval_warnings": False,
+        }
+        grid = (self.dt * np.arange(1, steps + 1)).tolist()
+        return ca.integrator("arm", "idas", dae, 0.0, grid, options)

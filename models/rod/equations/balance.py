@@ -1,0 +1,146 @@
+"""The balance of a scene in CasADi: residual of the free strains, and what else can be read from a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from pisplit.models.rod.kinematics.gauss import Rule
+from pisplit.models.rod.kinematics.kinematics import BaseState, Motion, columnwise_cross
+from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.gravity import Gravity
+from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Weak form of the Cosserat equations at the Gauss nodes.
+
+    ``dead_force`` (3, K) in N adds an internal force at the nodes that does not depend on the motion.
+    Statics is the same balance with exact zeros as rates and no inertia: nothing of the motion is left in its graph.
+
+    With loads f, l per length and a wrench at the tip, forces and moments come from the tip:
+
+        N = F_tip + int_s^L (f - rho A p_tt),   M = M_tip + int_s^L (p_s x N + l - (R rho J omega)_t)
+
+    and every free strain balances at every node, in body axes:
+
+        0 = R^T M - K_bt (w - w*) - stress_w,   0 = R^T N - K_se (v - v*) - stress_v
+    """
+
+    rod: Rod
+    terms: tuple[Term, ...]
+    rule: Rule
+    strains: ca.SX
+    rates: ca.SX
+    accelerations: ca.SX
+    inputs: dict[str, ca.SX]
+    inertia: bool = True
+    dead_force: ca.SX | None = None
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Kinematics."""
+        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations, self.base)
+
+    @property
+    def base(self) -> BaseState:
+        """Motion of the clamp."""
+        moving = self.inertia or self.rates.nnz() > 0
+        states = [t.state(self.inputs, moving) for t in self.terms if isinstance(t, Base)]
+        return states[0] if states else BaseState.fixed()
+
+    @cached_property
+    def loads(self) -> Loads:
+        """Loads of all the terms."""
+        loads = Loads.none(self.rule.n_nodes, self.inputs, self.inertia)
+        for term in sorted(self.terms, key=lambda t: not isinstance(t, Gravity)):  # what has weight reads the gravity
+            term.apply(self.motion, loads)
+        return loads
+
+    @cached_property
+    def _force(self) -> ca.SX:
+        """World internal force N at the nodes (3, K)."""
+        density = self.loads.force
+        if self.inertia:
+            density = density + self._inertia_density
+        force = ca.repmat(self.loads.tip_force, 1, self.rule.n_nodes) + self.motion.to_tip(density)
+        force = force + self.loads.point_force + self.loads.point_inertia
+        return force if self.dead_force is None else force + self.dead_force
+
+    @cached_property
+    def _inertia_density(self) -> ca.SX:
+        """Inertia force per length, -rho A p_tt, at the nodes (3, K)."""
+        return -by_row(self.motion.profile.mass, 3) * self.motion.acceleration
+
+    @property
+    def inertial_force(self) -> ca.SX:
+        """The part of the internal force N that is due to inertia, at the nodes (3, K) in N."""
+        return self.motion.to_tip(self._inertia_density) + self.loads.point_inertia
+
+    @cached_property
+    def _moment_density(self) -> ca.SX:
+        """World moment per length, p_s x N + l - (R rho J omega)_t, at the nodes (3, K) in N."""
+        density = columnwise_cross(self.motion.tangent, self._force) + self.loads.moment
+        return density - self._rotary_inertia() if self.inertia else density
+
+    @cached_property
+    def _body_moment(self) -> ca.SX:
+        """Internal moment R^T M at the nodes (3, K) in N m."""
+        moment = ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(self._moment_density)
+        return self.motion.to_body(moment)
+
+    def _rotary_inertia(self) -> ca.SX:
+        """Rate of angular momentum per length in world axes: R (rho J alpha + omega x rho J omega)."""
+        omega = self.motion.to_body(self.motion.spin)
+        alpha = self.motion.to_body(self.motion.spin_rate)
+        j = ca.SX(ca.DM(self.motion.profile.inertia))
+        return self.motion.to_world(j * alpha + columnwise_cross(omega, j * omega))
+
+    @cached_property
+    def elastic_force(self) -> ca.SX:
+        """Body force that the material carries, n = R^T N - stress_v, at the nodes (3, K) in N."""
+        return self.motion.to_body(self._force) - self.loads.stress_v
+
+    @cached_property
+    def residual(self) -> ca.SX:
+        """Residual of the free strains, node by node; moments in N m, forces in N."""
+        stiffness, rest = ca.DM(self.motion.profile.stiffness), ca.DM(self.motion.profile.rest)
+        moment = self._body_moment - self.loads.stress_w
+        rows = []
+        for component in self.rod.strain_set.free:
+            axis = component % 3
+            strain = self.motion.w[axis, :] if component < 3 else self.motion.v[axis, :]
+            carried = moment[axis, :] if component < 3 else self.elastic_force[axis, :]
+            rows.append(carried - stiffness[component, :] * (strain - rest[component, :]))
+        return ca.vec(ca.vertcat(*rows))
+
+    @cached_property
+    def strain_v(self) -> ca.SX:
+        """Shear and stretch strains at the nodes (3, K); those that are not free follow from the force carried."""
+        free = self.rod.strain_set.free
+        stiffness, rest = ca.DM(self.motion.profile.stiffness), ca.DM(self.motion.profile.rest)
+        rows = []
+        for axis in range(3):
+            if 3 + axis in free:
+                rows.append(self.motion.v[axis, :])
+            else:
+                rows.append(rest[3 + axis, :] + self.elastic_force[axis, :] / stiffness[3 + axis, :])
+        return ca.vertcat(*rows)
+
+
+def collect_inputs(terms: tuple[Term, ...]) -> tuple[Input, ...]:
+    """Inputs of all the terms in their order; the same input may be read by several terms."""
+    found: dict[str, Input] = {}
+    for term in terms:
+        for item in term.inputs:
+            known = found.setdefault(item.name, item)
+            if known.size != item.size:
+                raise ValueError(
+                    f"input {item.name!r} has size {item.size} in one term and {known.size} in another; "
+                    "give them different names"
+                )
+    return tuple(found.values())

@@ -1,0 +1,1 @@
+"""Shape of the rod from its strains: Gauss nodes, rotations, strain sets, positions and velocities, coordinates."""

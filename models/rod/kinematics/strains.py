@@ -1,0 +1,112 @@
+"""Strain sets: which strains of the rod are free, and how frames follow from them.
+
+The free strains at the Gauss nodes are the generalised coordinates. Strains that a set does not free keep
+their rest values, as exact zeros and ones in the graph, so that CasADi folds away everything that depends on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from pisplit.models.rod.kinematics.gauss import Array, Rule
+from pisplit.models.rod.kinematics.rotations import compose, exponential, rotation_about_y, rotation_matrix
+
+#: Order of the six strain components: bending about body axes 1 and 2, torsion, shear along 1 and 2, stretch.
+COMPONENTS = ("w1", "w2", "w3", "v1", "v2", "v3")
+
+
+@dataclass(frozen=True)
+class StrainSet:
+    """Free strain components of a rod, by index into ``COMPONENTS``, in increasing order."""
+
+    name: str
+    free: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        free = tuple(self.free)
+        if not free or list(free) != sorted(set(free)) or not set(free) <= set(range(len(COMPONENTS))):
+            raise ValueError(
+                f"StrainSet free = {self.free!r}; expected increasing indices from 0 to 5 into {COMPONENTS}"
+            )
+        object.__setattr__(self, "free", free)
+
+    @property
+    def n_fields(self) -> int:
+        """Number of free strain components."""
+        return len(self.free)
+
+    @property
+    def planar(self) -> bool:
+        """Whether the rod only bends about body axis 2, in the x-z plane."""
+        return not {0, 2, 4} & set(self.free)
+
+    def split(self, values: ca.SX, rest: Sequence[float]) -> tuple[ca.SX, ca.SX]:
+        """Strains (w, v), each (3,), from the free components and the rest values of the others."""
+        full = ca.SX(ca.DM(list(rest)))
+        for row, component in enumerate(self.free):
+            full[component] = values[row]
+        return full[:3], full[3:]
+
+    def steps(self, w_nodes: ca.SX, rule: Rule, base: ca.SX) -> list[ca.SX]:
+        """Quaternions (4,) at ``rule.step_ends`` from the strains ``w`` at the nodes (3, K) and that of the base.
+
+        Fourth-order Magnus steps from node to node (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta
+        Numerica 2000): for R' = R hat(w), Omega = W + sqrt(3)/12 h W x (w_2 - w_1) with W = int w ds and w at the two
+        Gauss points of each step. W is that of the polynomial through the nodes, exactly: where the axis of bending
+        does not turn, so are the frames. Planar rods need none.
+        """
+        ends = [base]
+        if not self.planar:
+            for start, end in pairwise(rule.step_ends):
+                ends.append(compose(ends[-1], _turn(w_nodes, rule, start, end)))
+        return ends
+
+    def frames(self, w_nodes: ca.SX, rule: Rule, s: Sequence[float], steps: Sequence[ca.SX]) -> list[ca.SX]:
+        """Rotation matrices at arclengths ``s`` from ``steps``, the quaternions at ``rule.step_ends``.
+
+        Planar rods integrate the angle exactly. Otherwise one more Magnus step leads from the last node to each
+        arclength, so that a frame does not depend on which others are asked for.
+        """
+        if self.planar:
+            base = ca.sparsify(rotation_matrix(steps[0]))
+            return [
+                base @ rotation_about_y(ca.mtimes(ca.DM(row[None, :]), w_nodes[1, :].T)) for row in rule.integrate_to(s)
+            ]
+        ends = rule.step_ends
+        frames = []
+        for point in s:
+            last = int(np.searchsorted(ends, point, side="right")) - 1
+            frame = steps[last]
+            if point > ends[last]:
+                frame = compose(frame, _turn(w_nodes, rule, ends[last], point))
+            frames.append(rotation_matrix(frame))
+        return frames
+
+
+def turn_rows(rule: Rule, start: float, end: float) -> Array:
+    """Rows (2, K) over nodal strains for one Magnus step: W, and sqrt(3)/12 h (w_2 - w_1)."""
+    h = end - start
+    points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
+    first, second = rule.interpolate(points)
+    whole = rule.integrate_to([end])[0] - rule.integrate_to([start])[0]
+    return np.stack([whole, np.sqrt(3.0) / 12.0 * h * (second - first)])
+
+
+def _turn(w_all: ca.SX, rule: Rule, start: float, end: float) -> ca.SX:
+    """Quaternion of one Magnus step."""
+    whole, change = ca.horzsplit(ca.mtimes(w_all, ca.DM(turn_rows(rule, start, end).T)))
+    return exponential(whole + ca.cross(whole, change))
+
+
+STRAIN_SETS = {
+    "cosserat": StrainSet("cosserat", (0, 1, 2, 3, 4, 5)),
+    "kirchhoff": StrainSet("kirchhoff", (0, 1, 2)),
+    "extensible": StrainSet("extensible", (0, 1, 2, 5)),
+    "planar": StrainSet("planar", (1,)),
+    "planar-cosserat": StrainSet("planar-cosserat", (1, 3, 5)),
+}

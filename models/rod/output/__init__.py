@@ -1,0 +1,1 @@
+"""A scene for other uses: pictures, C code, compiled functions."""

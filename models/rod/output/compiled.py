@@ -1,0 +1,178 @@
+"""Machine code of a scene: C of its functions, built by the system compiler and kept in a user cache folder."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import logging
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import casadi as ca
+
+from pisplit.models.rod.equations.residuals import THROUGH_JACOBIAN
+from pisplit.models.rod.scene import Scene
+
+log = logging.getLogger(__name__)
+
+#: ``-O1`` runs as fast as ``-O2`` on these straight-line functions and compiles 2 to 14 times faster.
+FLAGS = ("-O1", "-fPIC", "-shared")
+#: Seconds after which a compiler counts as failed; the largest residuals here take half a minute.
+COMPILER_PATIENCE = 600.0
+_DIGEST = hashlib.sha256().digest_size
+
+
+class NoMachineCode(RuntimeError):
+    """There is no compiler, it failed, or its product cannot be kept or loaded."""
+
+
+class CompiledScene(Scene):
+    """A scene whose residuals, Jacobians and fields are machine code: see ``Scene.compile``.
+
+    Whatever a solver asks for later (fields at other stations) is built when it is first used. Where building fails the
+    virtual machine evaluates the scene, with the same results. ``scene + term`` and its relatives give interpreted
+    scenes: compile them again.
+    """
+
+    @classmethod
+    def of(cls, scene: Scene) -> CompiledScene:
+        """The compiled twin of a scene; nothing is built yet."""
+        made = cls.__new__(cls)
+        made.__dict__.update(copy.copy(scene).__dict__)  # a copy holds no graphs of the original
+        return made
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _recompile, super().__reduce__()
+
+    def variational(self) -> CompiledScene:
+        """The twin that keeps energy (see ``Scene.variational``), as machine code too."""
+        if "_variational_machine_code" not in self.__dict__:
+            self.__dict__["_variational_machine_code"] = CompiledScene.of(super().variational())
+        found: CompiledScene = self.__dict__["_variational_machine_code"]
+        return found
+
+    @property
+    def machine_code(self) -> bool:
+        """Whether every function asked for so far runs as machine code."""
+        built = self._native.values()
+        return bool(built) and all(made is not given for given, made in built)
+
+    def native(self, function: ca.Function) -> ca.Function:
+        """``function`` as machine code, or itself where there is none to be had."""
+        return self.build([function])[0]
+
+    def build(self, functions: Sequence[ca.Function]) -> list[ca.Function]:
+        """Machine code of several functions, built side by side."""
+        known = self._native
+        missing = [f for f in functions if f.__hash__() not in known]
+        for given, made in zip(missing, compiled_functions(missing), strict=True):
+            known[given.__hash__()] = (given, made)
+        return [known[f.__hash__()][1] for f in functions]
+
+    @property
+    def _native(self) -> dict[int, tuple[ca.Function, ca.Function]]:
+        """Function and its machine code by the identity of the function, which stays alive with it."""
+        found: dict[int, tuple[ca.Function, ca.Function]] = self.__dict__.setdefault("_machine_code", {})
+        return found
+
+
+def _recompile(rebuild: Callable[..., Scene], arguments: tuple[object, ...]) -> CompiledScene:
+    return CompiledScene.of(rebuild(*arguments))
+
+
+def compiled_functions(functions: Sequence[ca.Function]) -> list[ca.Function]:
+    """Each function as machine code, residuals (functions in SX) with their Jacobian.
+
+    Those that cannot be built come back as they are; one warning says why.
+    """
+    if not functions:
+        return []
+    try:
+        compiler, folder = _compiler(), _cache_folder()
+        sources = [_source(f) for f in functions]
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            libraries = list(pool.map(lambda source: _library(source, compiler, folder), sources))
+        return [_load(f, library) for f, library in zip(functions, libraries, strict=True)]
+    except NoMachineCode as reason:
+        log.warning("%s; the CasADi virtual machine evaluates the scene instead, 2 to 3 times slower", reason)
+        return list(functions)
+
+
+def _source(function: ca.Function) -> str:
+    """C of a function; residuals (in SX) come with their Jacobian, which solvers look up as ``jac_NAME``."""
+    generator = ca.CodeGenerator("machine_code")
+    generator.add(function)
+    if function.is_a("SXFunction"):
+        generator.add(function.jacobian())
+    return str(generator.dump())
+
+
+def _compiler() -> str:
+    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    raise NoMachineCode("no C compiler (cc, gcc or clang) on the PATH")
+
+
+def _cache_folder() -> Path:
+    """``$XDG_CACHE_HOME/pisplit`` or ``~/.cache/pisplit``; what is in it may be deleted at any time."""
+    try:
+        base = os.environ.get("XDG_CACHE_HOME", "")
+        folder = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "pisplit"
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except (OSError, RuntimeError) as error:
+        raise NoMachineCode(f"no folder for machine code: {error}") from error
+    return folder
+
+
+def _library(source: str, compiler: str, folder: Path) -> Path:
+    """Shared library of a source, from the cache where it is there and intact."""
+    key = hashlib.sha256("\0".join([source, *FLAGS, platform.machine()]).encode()).hexdigest()[:32]
+    path = folder / f"{key}.so"
+    if not _intact(path):
+        _build(source, compiler, path)
+    return path
+
+
+def _intact(path: Path) -> bool:
+    """Whether a library ends with the digest of its content: loading a truncated one would kill the process."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    return hashlib.sha256(content[:-_DIGEST]).digest() == content[-_DIGEST:]
+
+
+def _build(source: str, compiler: str, path: Path) -> None:
+    """Compile into a folder of this process and move the whole library into place."""
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix="build-") as name:
+            code, library = Path(name) / "scene.c", Path(name) / "scene.so"
+            code.write_text(source)
+            command = [compiler, *FLAGS, str(code), "-o", str(library), "-lm"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILER_PATIENCE, check=False)
+            if done.returncode:
+                reason = (done.stderr.strip().splitlines() or ["no message"])[0]
+                raise NoMachineCode(f"{compiler} failed with status {done.returncode}: {reason}")
+            content = library.read_bytes()
+            library.write_bytes(content + hashlib.sha256(content).digest())
+            os.replace(library, path)
+    except subprocess.TimeoutExpired as error:
+        raise NoMachineCode(f"{compiler} took longer than {COMPILER_PATIENCE:g} s") from error
+    except OSError as error:
+        raise NoMachineCode(f"machine code could not be written: {error}") from error
+
+
+def _load(function: ca.Function, path: Path) -> ca.Function:
+    options = THROUGH_JACOBIAN if function.is_a("SXFunction") else {"never_inline": True}
+    try:
+        return ca.external(function.name(), str(path), options)
+    except RuntimeError as error:
+        raise NoMachineCode(f"machine code does not load: {str(error).strip().splitlines()[-1]}") from error

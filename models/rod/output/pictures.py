@@ -1,0 +1,270 @@
+"""Pictures of rods: shapes with tendons coloured by tension, strips over time, energies, animations.
+
+Figures are plain ``matplotlib`` figures: ``figure.savefig(path)`` keeps them. Matplotlib is imported when a picture is
+drawn, not before.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, count, finite_array
+from pisplit.models.rod.terms.routing import sample
+from pisplit.models.rod.terms.tendons import Tendons
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from pisplit.models.rod.dynamics.trajectory import Trajectory
+    from pisplit.models.rod.scene import Scene
+
+BACKBONE, PLATE, GHOST, PATH = "#2b2b2b", "#b9c2cc", "#9aa7b5", "#c2410c"
+TENSIONS = "plasma"
+#: Points along the rod at which shapes are drawn.
+POINTS = 49
+#: Plates that guide the tendons, drawn along the rod to show how it twists.
+PLATES = 9
+#: Part of the longest side of a picture that every direction keeps, however flat the motion is.
+FLATTEST = 0.5
+#: Width of a strip of shapes in parts of its height, at least.
+STRIP_WIDTH = 3.2
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What is drawn of N states: lines and rims of plates (N, ..., 3) in mm, tensions (N, tendons) in N."""
+
+    backbone: Array
+    plates: Array
+    tendons: tuple[Array, ...]
+    tensions: Array
+
+    def everything(self) -> Array:
+        """All points (n, 3) in mm, for the limits of a picture."""
+        parts = [self.backbone, self.plates, *self.tendons]
+        return np.concatenate([p.reshape(-1, 3) for p in parts])
+
+
+def tensions(scene: Scene, states: ArrayLike) -> Array:
+    """Tendon tensions (N, tendons) in N of states (N, n_states)."""
+    x = np.atleast_2d(np.asarray(states, float))
+    xi, u, balance = scene.static_balance
+    tension = balance.loads.outputs.get("tension", ca.SX(0, 1))
+    read = ca.Function("tension", [xi, u], [tension], {"cse": True})
+    n = scene.n_strains
+    found: Array = np.asarray(read.map(len(x))(x[:, :n].T, x[:, 2 * n :].T), dtype=np.float64).T
+    return found.reshape(len(x), tension.numel())
+
+
+def shape_of(scene: Scene, states: ArrayLike) -> Shape:
+    """Backbone, guide plates, tendons and tensions of states (n_states,) or (N, n_states).
+
+    Raises ValueError for states of another shape.
+    """
+    x = finite_array(np.atleast_2d(np.asarray(states, float)), "states", (None, scene.n_states))
+    s = np.linspace(0.0, scene.rod.length, POINTS)
+    y = scene.fields(x, s)
+    p, frames = 1e3 * y[..., :3], y[..., 3:12].reshape(len(x), POINTS, 3, 3)
+    bundles = [t for t in scene.terms if isinstance(t, Tendons)]
+    lines, radius = [], 4.0 * scene.rod.length
+    for bundle in bundles:
+        reach = s <= (scene.rod.length if bundle.end is None else bundle.end) * (1.0 + 1e-12)
+        for route in bundle.offsets:
+            offset = 1e3 * sample(route, s[reach], scene.rod.length)[0]
+            lines.append(p[:, reach] + np.einsum("nsij,js->nsi", frames[:, reach], offset))
+            radius = max(radius, 1.15 * float(np.linalg.norm(offset, axis=0).max()))
+    angle = np.linspace(0.0, 2.0 * np.pi, 33)
+    rim = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    at = np.linspace(0, POINTS - 1, PLATES).round().astype(int) if bundles else np.array([0])
+    plates = p[:, at, None, :] + np.einsum("nsij,ja->nsai", frames[:, at], rim)
+    return Shape(p, plates, tuple(lines), tensions(scene, x))
+
+
+def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:
+    """The arm in 3-D, its tendons coloured by tension; of states (N, n_states) the last, with the others as ghosts."""
+    shape = shape_of(scene, states)
+    figure = _figure(8.0, 7.0)
+    axis = figure.add_subplot(projection="3d")
+    for line in shape.backbone[:-1]:
+        axis.plot(*line.T, color=GHOST, lw=0.9, alpha=0.55)
+    if len(shape.backbone) > 2:
+        axis.plot(*shape.backbone[:, -1].T, color=PATH, lw=1.0, label="path of the tip")
+        axis.legend(loc="upper left", frameon=False)
+    colours = _colours(shape.tensions[-1:])
+    _draw_arm(axis, shape, len(shape.backbone) - 1, colours)
+    _frame_3d(axis, shape.everything())
+    _colour_bar(figure, axis, colours)
+    axis.set_title(title)
+    return figure
+
+
+def plot_strip(trajectory: Trajectory, moments: int = 9, title: str = "") -> Figure:
+    """Shapes side by side over time in the plane of most motion, over the path of the tip and the tensions in time."""
+    scene = trajectory.scene
+    chosen = np.unique(np.linspace(0, len(trajectory.x) - 1, count(moments, "moments")).round().astype(int))
+    shape = shape_of(scene, trajectory.x[chosen])
+    drawn = shape.everything()
+    across = int(np.argmax(np.ptp(drawn[:, :2], axis=0)))
+    low, high = drawn[:, across].min(), drawn[:, across].max()
+    pitch = max(1.12 * float(high - low), STRIP_WIDTH * float(np.ptp(drawn[:, 2])) / len(chosen))
+    colours = _colours(tensions(scene, trajectory.x))
+    rows = 3 if shape.tendons else 2
+    figure = _figure(11.0, 2.9 + 2.0 * (rows - 1))
+    axes = figure.subplots(rows, 1, height_ratios=[1.6, *[1.0] * (rows - 1)])
+    strip = axes[0]
+    for k in range(len(chosen)):
+        shift = np.array([k * pitch, 0.0])
+        for i, line in enumerate(shape.tendons):
+            strip.plot(*(line[k][:, [across, 2]] + shift).T, color=colours.to_rgba(shape.tensions[k, i]), lw=1.6)
+        strip.plot(*(shape.backbone[k][:, [across, 2]] + shift).T, color=BACKBONE, lw=0.9 if shape.tendons else 2.0)
+        strip.plot(*(shape.plates[k][0][:, [across, 2]] + shift).T, color=BACKBONE, lw=2.5)
+    strip.set_xticks([k * pitch for k in range(len(chosen))], [f"{trajectory.t[k]:.2f} s" for k in chosen])
+    strip.set(ylabel="z (mm)", title=title or f"shapes over time, seen along {'yx'[across]}", aspect="equal")
+    _colour_bar(figure, strip, colours)
+    tip = 1e3 * trajectory.fields(1)[:, 0, :3]
+    for name, values in zip("xyz", tip.T, strict=True):
+        axes[1].plot(trajectory.t, values - values[0], label=name, lw=1.3)
+    axes[1].set_ylabel("tip motion (mm)")
+    axes[1].legend(ncols=3, frameon=False)
+    if shape.tendons:
+        for i, values in enumerate(tensions(scene, trajectory.x).T):
+            axes[2].plot(trajectory.t, values, label=f"tendon {i + 1}", lw=1.3)
+        axes[2].set_ylabel("tension (N)")
+        axes[2].legend(ncols=4, frameon=False)
+    axes[-1].set_xlabel("time (s)")
+    _tidy(*axes)
+    return figure
+
+
+def plot_energy(t: ArrayLike, energies: Mapping[str, ArrayLike], title: str = "") -> Figure:
+    """Energies (T,) in J by name over times (T,) in s, and beneath them their sum's change, which shows any drift.
+
+    Raises ValueError for an energy of another length than the times.
+    """
+    times = finite_array(np.asarray(t, float), "t", (None,))
+    if not energies:
+        raise ValueError("energies is empty; give at least one, such as {'kinetic': T}")
+    values = {
+        name: finite_array(np.asarray(e, float), f"energy {name!r}", (len(times),)) for name, e in energies.items()
+    }
+    figure = _figure(9.0, 6.0)
+    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
+    for name, e in values.items():
+        top.plot(times, e, lw=1.4, label=name)
+    total = np.sum(list(values.values()), axis=0)
+    top.plot(times, total, "k--", lw=1.2, label="sum")
+    top.set(ylabel="energy (J)", title=title)
+    top.legend(ncols=min(4, len(values) + 1), frameon=False)
+    below.plot(times, total - total[0], color="k", lw=1.2)
+    below.set(ylabel="change of the sum (J)", xlabel="time (s)")
+    _tidy(top, below)
+    return figure
+
+
+def animate_arm(trajectory: Trajectory, path: str | Path, fps: int = 20, title: str = "") -> Path:
+    """Write an animation of the arm in real time, with tendons coloured by tension and the path of the tip.
+
+    Args:
+        trajectory: what moves.
+        path: ``.gif``, or ``.mp4`` where ffmpeg is installed.
+        fps: frames per second of the picture and of the motion.
+    """
+    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+
+    target = Path(path)
+    if target.suffix not in (".gif", ".mp4"):
+        raise ValueError(f"animation path ends in {target.suffix!r}; expected .gif or .mp4")
+    if target.suffix == ".mp4" and not FFMpegWriter.isAvailable():
+        raise ValueError("an .mp4 needs ffmpeg, which is not installed; write a .gif instead")
+    moments = np.arange(0.0, trajectory.t[-1] + 1e-9, 1.0 / count(fps, "fps"))
+    frames = np.searchsorted(trajectory.t, moments - 1e-9).clip(max=len(trajectory.t) - 1)
+    shape = shape_of(trajectory.scene, trajectory.x[frames])
+    tip = 1e3 * trajectory.fields(1)[:, 0, :3]
+    colours = _colours(shape.tensions)
+    figure = _figure(6.4, 5.8)
+    axis = figure.add_subplot(projection="3d")
+    _colour_bar(figure, axis, colours)
+
+    def show(k: int) -> None:
+        axis.clear()
+        axis.plot(*tip[: frames[k] + 1].T, color=PATH, lw=0.9, alpha=0.8)
+        _draw_arm(axis, shape, k, colours)
+        _frame_3d(axis, shape.everything())
+        axis.set_title(f"{title}{', ' if title else ''}t = {trajectory.t[frames[k]]:.2f} s")
+
+    film = FuncAnimation(figure, show, frames=len(frames), init_func=lambda: None)
+    writer = (PillowWriter if target.suffix == ".gif" else FFMpegWriter)(fps=fps)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(f".{os.getpid()}-{target.name}")
+    film.save(part, writer=writer, dpi=80)
+    os.replace(part, target)
+    return target
+
+
+# Parts of pictures --------------------------------------------------------------------------------------------------
+
+
+def _figure(width: float, height: float) -> Figure:
+    """A figure of its own, outside pyplot: no window, nothing to close."""
+    import mpl_toolkits.mplot3d  # noqa: F401  (makes the 3-D projection known)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained", dpi=130)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _colours(values: Array) -> Any:
+    """Map from tension in N to colour, from zero to the largest tension drawn."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    most = float(np.max(values, initial=0.0))
+    return ScalarMappable(Normalize(0.0, most if most > 0.0 else 1.0), colormaps[TENSIONS])
+
+
+def _colour_bar(figure: Figure, axis: Any, colours: Any) -> None:
+    if colours.norm.vmax != 1.0:
+        solid = hasattr(axis, "get_zlim")  # the box of a 3-D axis leaves a margin of its own
+        figure.colorbar(colours, ax=axis, shrink=0.6, pad=0.0 if solid else 0.02, label="tension (N)")
+
+
+def _draw_arm(axis: Any, shape: Shape, k: int, colours: Any) -> None:
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    axis.add_collection3d(
+        Poly3DCollection(list(shape.plates[k]), facecolor=PLATE, edgecolor="#6b7785", lw=0.6, alpha=0.5)
+    )
+    axis.plot(*shape.backbone[k].T, color=BACKBONE, lw=2.6)
+    for i, line in enumerate(shape.tendons):
+        axis.plot(*line[k].T, color=colours.to_rgba(shape.tensions[k, i]), lw=1.7)
+
+
+def _frame_3d(axis: Any, points: Array) -> None:
+    """Equal scales in all directions, as tight as the points allow."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, side = 0.5 * (low + high), np.maximum(high - low, FLATTEST * np.max(high - low)) * 1.05
+    for name, m, width in zip("xyz", middle, side, strict=True):
+        getattr(axis, f"set_{name}lim")(m - 0.5 * width, m + 0.5 * width)
+        getattr(axis, f"set_{name}label")(f"{name} (mm)", labelpad=7.0)
+        getattr(axis, f"{name}axis").set_major_locator(MaxNLocator(max(2, round(6 * width / side.max()))))
+    axis.set_box_aspect(side, zoom=0.8)
+    axis.view_init(elev=20, azim=-62)
+
+
+def _tidy(*axes: Any) -> None:
+    for axis in axes:
+        axis.grid(alpha=0.25)
+        axis.spines[["top", "right"]].set_visible(False)

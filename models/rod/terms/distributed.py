@@ -1,0 +1,77 @@
+"""Loads per length."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from pisplit.checks import finite_array
+from pisplit.models.rod.kinematics.gauss import Rule
+from pisplit.models.rod.kinematics.kinematics import Motion
+from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector
+
+#: Three numbers, an ``Input`` of size 3, or a function of arclength s in m that returns three numbers.
+Density = Vector | Callable[[float], Sequence[float]]
+
+
+@dataclass(frozen=True)
+class DistributedWrench:
+    """Force per length in N/m and moment per length in N along the whole rod.
+
+    Args:
+        force, moment: each three numbers, an ``Input`` of size 3 (the same all along the rod), or a function s -> (3,)
+            of the arclength in m, smooth within each element; components in world axes (a dead load) or,
+            with ``follower=True``, in the axes of each cross-section.
+    """
+
+    force: Density = (0.0, 0.0, 0.0)
+    moment: Density = (0.0, 0.0, 0.0)
+    follower: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("force", "moment"):
+            value = getattr(self, name)
+            if not callable(value):
+                object.__setattr__(self, name, checked_vector(value, f"DistributedWrench {name}"))
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Those of force and moment that are inputs."""
+        return tuple(v for v in (self.force, self.moment) if isinstance(v, Input))
+
+    def check(self, rod: Rod, rule: Rule) -> None:
+        """Raise ValueError where a function does not return three finite numbers."""
+        for name in ("force", "moment"):
+            value = getattr(self, name)
+            if callable(value):
+                _sampled(value, rule.nodes.tolist(), f"DistributedWrench {name}")
+
+    def apply(self, motion: Motion, loads: Loads) -> None:
+        """Add the loads at every node."""
+        force, moment = self._at_nodes(self.force, motion, loads), self._at_nodes(self.moment, motion, loads)
+        if self.follower:
+            force, moment = motion.to_world(force), motion.to_world(moment)
+        loads.force += force
+        loads.moment += moment
+
+    def _at_nodes(self, value: Density, motion: Motion, loads: Loads) -> ca.SX:
+        nodes = motion.rule.nodes.tolist()
+        if callable(value):
+            return ca.sparsify(ca.SX(ca.DM(_sampled(value, nodes, "DistributedWrench"))))
+        if isinstance(value, Input):
+            return ca.repmat(loads.read(value), 1, len(nodes))
+        return ca.repmat(ca.sparsify(loads.read(value)), 1, len(nodes))
+
+    def describe(self, rod: Any) -> str:
+        """Force and moment per length."""
+        kind = "follower" if self.follower else "dead"
+        return f"{kind} distributed wrench, force {self.force} N/m, moment {self.moment} N"
+
+
+def _sampled(value: Callable[[float], Sequence[float]], nodes: list[float], name: str) -> np.ndarray:
+    return np.array([finite_array(np.asarray(value(s)), f"{name} at s = {s:g} m", (3,)) for s in nodes]).T

@@ -1,0 +1,34 @@
+"""Gravity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pisplit.models.rod.kinematics.kinematics import Motion
+from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector, spread
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Uniform acceleration of gravity (3,) in m/s^2 in world axes, or an ``Input`` of size 3."""
+
+    acceleration: Vector
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "acceleration", checked_vector(self.acceleration, "Gravity acceleration"))
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The acceleration, when it is an input."""
+        return (self.acceleration,) if isinstance(self.acceleration, Input) else ()
+
+    def apply(self, motion: Motion, loads: Loads) -> None:
+        """Weight per length rho A g at every node."""
+        gravity = loads.read(self.acceleration)
+        loads.gravity += gravity
+        loads.force += spread(gravity, motion.profile.mass)
+
+    def describe(self, rod: Any) -> str:
+        """Acceleration in m/s^2."""
+        return f"gravity {self.acceleration} m/s^2"

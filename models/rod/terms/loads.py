@@ -1,0 +1,146 @@
+"""What the terms of a scene add to the balance of the rod."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import casadi as ca
+import numpy as np
+
+from pisplit.checks import Array, count, finite_array
+from pisplit.models.rod.kinematics.kinematics import Motion
+
+
+@dataclass(frozen=True)
+class Input:
+    """A named input of the scene with ``size`` entries, in place of a fixed number."""
+
+    name: str
+    size: int
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise ValueError(f"Input name = {self.name!r}; expected a non-empty string")
+        count(self.size, f"Input {self.name!r} size")
+
+
+#: A load that is either three numbers or an input of size 3.
+Vector = Sequence[float] | Input
+
+
+def checked_vector(value: Vector, name: str) -> Vector:
+    """Three finite numbers as a tuple, or an ``Input`` of size 3."""
+    if isinstance(value, Input):
+        if value.size != 3:
+            raise ValueError(f"{name} is an input of size {value.size}; expected size 3")
+        return value
+    return tuple(finite_array(np.asarray(value), name, (3,)).tolist())
+
+
+@dataclass
+class Loads:
+    """Sums of loads. A term adds to what it affects; what nobody adds to stays exactly zero.
+
+    Attributes:
+        force: world force per length at the nodes (3, K) in N/m.
+        moment: world moment per length at the nodes (3, K) in N.
+        tip_force, tip_moment: world wrench at the tip (3,) in N, N m.
+        stress_w, stress_v: body moment (3, K) in N m and force (3, K) in N that a term adds to the elastic stress
+            at the nodes (damping, tendons).
+        point_force: world internal force at the nodes (3, K) in N that balances forces at points of the rod (see
+            ``add_at``); ``point_inertia`` (3, K) the same for inertia forces of added masses.
+        gravity: world acceleration of gravity (3,) in m/s^2.
+        moving: whether inertia counts.
+        inputs: symbol of each input by name.
+        outputs: quantities that a term offers for reading, by name (e.g. tendon tensions).
+        work: stored energies in J by name.
+    """
+
+    force: ca.SX
+    moment: ca.SX
+    tip_force: ca.SX
+    tip_moment: ca.SX
+    stress_w: ca.SX
+    stress_v: ca.SX
+    point_force: ca.SX
+    point_inertia: ca.SX
+    gravity: ca.SX
+    moving: bool
+    inputs: dict[str, ca.SX]
+    outputs: dict[str, ca.SX] = field(default_factory=dict)
+
+    @classmethod
+    def none(cls, n_nodes: int, inputs: dict[str, ca.SX], moving: bool = True) -> Loads:
+        """No loads at all."""
+        nodes, point = ca.SX(3, n_nodes), ca.SX(3, 1)
+        return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, point, moving, inputs)
+
+    def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
+        """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``."""
+        if motion.is_tip(s):
+            self.tip_force += force
+            self.tip_moment += moment
+        else:
+            shares = ca.DM(shares_below(motion, s))
+            self.point_force += force @ shares
+            self.stress_w -= motion.to_body(moment @ shares)
+
+    def add_inertia_at(self, motion: Motion, s: float, force: ca.SX) -> None:
+        """Add an inertia force (3,) in N at arclength ``s``."""
+        self.point_inertia += force @ ca.DM(shares_below(motion, s))
+
+    def read(self, value: Vector) -> ca.SX:
+        """Symbol of an input, or the numbers themselves."""
+        return self.inputs[value.name] if isinstance(value, Input) else ca.SX(ca.DM(list(value)))
+
+
+@runtime_checkable
+class Term(Protocol):
+    """Anything that acts on a rod. ``inputs`` lists what it reads; ``apply`` adds its loads.
+
+    A term that does not fit every rod may also have ``check(rod, rule)``, called when the scene is made; it raises
+    ValueError.
+    """
+
+    @property
+    def inputs(self) -> tuple[Input, ...]: ...
+
+    def apply(self, motion: Motion, loads: Loads) -> None:
+        """Add the loads of this term for a motion of the rod."""
+
+    def describe(self, rod: Any) -> str:
+        """One line for the table of the scene."""
+
+
+def shares_below(motion: Motion, s: float) -> Array:
+    """By how much a wrench at arclength ``s`` loads each node (1, K): row(s)_j / b_j of the integration to ``s``.
+
+    Its work on the motion of that point, F . int_0^s p_ts, is the work of an internal force F row_j / b_j at the nodes,
+    so the load is the exact adjoint of the interpolated position and mass matrices stay symmetric. The shares are the
+    step from 1 below ``s`` to 0 above it, exactly so where an element ends at ``s``.
+    """
+    if motion.is_tip(s):
+        return np.ones((1, motion.rule.n_nodes))
+    shares: Array = motion.rule.integrate_to([s]) / motion.rule.weights
+    return shares
+
+
+def by_row(values: Array, rows: int) -> ca.SX:
+    """One number a node (K,) as a constant matrix (rows, K)."""
+    return ca.SX(ca.DM(np.tile(values, (rows, 1))))
+
+
+def spread(vector: ca.SX, values: Array) -> ca.SX:
+    """A vector (3,) times one number a node (K,): (3, K). Equal numbers are multiplied once."""
+    if np.ptp(values) == 0.0:
+        return ca.repmat(float(values[0]) * vector, 1, len(values))
+    return vector @ ca.DM(values[None, :])
+
+
+def on_the_rod(s: float, length: float, name: str) -> float:
+    """``s``, which must be an arclength above 0 and at most the length of the rod."""
+    if not 0.0 < s <= length:
+        raise ValueError(f"{name} at s = {s:g} m; expected an arclength above 0 and at most L = {length:g} m")
+    return s

@@ -1,0 +1,246 @@
+"""Tendons as active stress on the strains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from pisplit.checks import Array, finite_array, non_negative, positive
+from pisplit.models.rod.kinematics.gauss import Rule
+from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
+from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.section.texts import OPTION, brief
+from pisplit.models.rod.terms.loads import Input, Loads
+from pisplit.models.rod.terms.routing import Helix, Line, Route, checked_routes, nodes_before, on_circle, sample
+
+#: Strain of a displaced tendon over which slack sets in when no tension is given: 0.1 N on the paper's arm.
+SLACK_STRAIN = 1e-5
+#: Turning over the length of the rod in rad below which capstan friction sets in smoothly.
+TURN_FLOOR = 1e-3
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Each tendon is pulled by a displacement u_i in m (positive pulls): tension from its elastic stretch.
+
+    ``tau_i = max(0, (l_i - l*_i) / (c l*_i))`` with ``l*_i = L_i - u_i`` and the path length ``l_i``; a slack tendon
+    carries nothing. The corner at slack is rounded.
+
+    Args:
+        compliance: c in 1/N, strain of the tendon per newton.
+        slack_smoothing: tension in N over which slack sets in; at the corner the tension is off by 0.69 of it. When not
+            given, that of a strain of 1e-5, which suits tendons of any stiffness.
+    """
+
+    compliance: float
+    slack_smoothing: float | None = None
+
+    def __post_init__(self) -> None:
+        positive(self.compliance, "Displacement compliance", "1/N")
+        if self.slack_smoothing is not None:
+            positive(self.slack_smoothing, "Displacement slack_smoothing", "N")
+
+    def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
+        """Tension in N of one tendon with path length ``length``, unpulled length ``rest`` and displacement ``u``."""
+        unstretched = self.unstretched(length, rest, u)
+        smoothing = SLACK_STRAIN / self.compliance if self.slack_smoothing is None else self.slack_smoothing
+        return softplus((length - unstretched) / (self.compliance * unstretched), smoothing)
+
+    def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
+        """Length in m at which the tendon just carries nothing."""
+        return rest - u
+
+    def describe(self) -> str:
+        """Law and compliance."""
+        return f"displacement drive, compliance {self.compliance:g} 1/N"
+
+
+@dataclass(frozen=True)
+class Tension:
+    """Each tendon is driven by its tension u_i in N."""
+
+    def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
+        """The input itself."""
+        return u
+
+    def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
+        """The path length: a tendon driven by its tension is never slack."""
+        return length
+
+    def describe(self) -> str:
+        """Law."""
+        return "tension drive"
+
+
+@dataclass(frozen=True, repr=False)
+class Tendons:
+    """Tendons that run along the rod at any offsets r_i(s) in the section plane.
+
+    With ``a_i = v + w x r_i + r_i'`` and ``t_i = a_i / |a_i|``, tendon i adds ``tau_i t_i`` to the internal force and
+    ``tau_i r_i x t_i`` to the internal moment; its path length is ``int |a_i| ds``. Distributed load and termination
+    wrench of the tendon follow from virtual work (Rucker & Webster, IEEE T-RO 2011, the same load in strong form).
+
+    Args:
+        offsets: one entry a tendon: a point (x, y) in m (parallel), or a function of arclength s in m that returns one,
+            such as ``Helix`` and ``Line``; it must be smooth within each element.
+        drive: ``Displacement(compliance)`` or ``Tension()``.
+        name: name of the input with one entry a tendon.
+        end: arclength in m at which the tendons are fixed to the rod, the tip when not given. The load jumps there, so
+            an element must end there: then path and load stop exactly.
+        friction: coefficient mu of capstan friction: the tension falls from the base by exp(-mu phi) with the angle phi
+            in rad by which the path has turned, as when the tendon is being pulled. The drive acts at the base; with a
+            displacement drive the stretch is that of the mean tension. Friction the other way, on
+            release, is not modelled.
+    """
+
+    offsets: Sequence[Route]
+    drive: Displacement | Tension = field(default_factory=Tension)
+    name: str = "tendons"
+    end: float | None = field(default=None, metadata=OPTION)
+    friction: float = field(default=0.0, metadata=OPTION)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offsets", checked_routes(self.offsets, "Tendons"))
+        if self.end is not None:
+            positive(self.end, "Tendons end", "m")
+        non_negative(self.friction, "Tendons friction")
+
+    __repr__ = brief
+
+    @classmethod
+    def parallel(
+        cls,
+        offset: float,
+        angles_deg: Sequence[float],
+        drive: Displacement | Tension,
+        name: str = "tendons",
+        end: float | None = None,
+        friction: float = 0.0,
+    ) -> Tendons:
+        """Tendons on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
+        points = on_circle(offset, angles_deg, "Tendons")
+        return cls([tuple(p) for p in points], drive, name, end, friction)
+
+    @classmethod
+    def helical(
+        cls,
+        offset: float,
+        pitch: float,
+        angles_deg: Sequence[float],
+        drive: Displacement | Tension,
+        name: str = "tendons",
+        end: float | None = None,
+        friction: float = 0.0,
+    ) -> Tendons:
+        """Tendons on helices of radius ``offset`` and ``pitch`` in m that start at ``angles_deg`` in degrees."""
+        phases = np.deg2rad(finite_array(np.asarray(angles_deg), "Tendons angles_deg", (None,)))
+        return cls([Helix(offset, pitch, phase) for phase in phases.tolist()], drive, name, end, friction)
+
+    @classmethod
+    def converging(
+        cls,
+        start: float,
+        end_offset: float,
+        length: float,
+        angles_deg: Sequence[float],
+        drive: Displacement | Tension,
+        name: str = "tendons",
+        end: float | None = None,
+        friction: float = 0.0,
+    ) -> Tendons:
+        """Tendons at ``angles_deg`` with an offset from ``start`` at the base to ``end_offset`` at ``length``; in m."""
+        directions = on_circle(1.0, angles_deg, "Tendons")
+        lines = [Line((start * x, start * y), (end_offset * x, end_offset * y), length) for x, y in directions]
+        return cls(lines, drive, name, end, friction)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """One input with an entry a tendon."""
+        return (Input(self.name, len(self.offsets)),)
+
+    def apply(self, motion: Motion, loads: Loads) -> None:
+        """Add the active stress of every tendon ; offers ``tension`` (at the base), ``length``, ``unpulled_length``."""
+        u, k = loads.inputs[self.name], motion.rule.n_nodes
+        unpulled = self.unpulled_lengths(motion.rod, motion.rule)
+        n = self._n_loaded(motion.rule)
+        weights = ca.DM(motion.rule.weights[:n])
+        readings: dict[str, list[ca.SX]] = {"tension": [], "length": [], "unpulled_length": []}
+        for i, route in enumerate(self.offsets):
+            r, slope = (ca.SX(ca.DM(x)) for x in sample(route, motion.rule.nodes[:n], motion.rod.length))
+            a = motion.v[:, :n] + columnwise_cross(motion.w[:, :n], r) + slope
+            norm = ca.sqrt(ca.sum1(a * a))
+            length = norm @ weights
+            tension = self.drive.tension(length, float(unpulled[i]), u[i])
+            along: ca.SX = tension
+            if self.friction > 0.0:
+                decay = ca.exp(-self.friction * turned_angle(a, norm, motion, n))
+                if isinstance(self.drive, Displacement):
+                    tension = tension * float(np.sum(motion.rule.weights[:n])) / (decay @ weights)
+                along = ca.repmat(tension * decay, 3, 1)
+            pull = ca.horzcat(along * a / ca.repmat(norm, 3, 1), ca.SX(3, k - n))
+            loads.stress_v += pull
+            loads.stress_w += columnwise_cross(ca.horzcat(r, ca.SX(3, k - n)), pull)
+            readings["tension"].append(tension)
+            readings["length"].append(length)
+            readings["unpulled_length"].append(self.drive.unstretched(length, float(unpulled[i]), u[i]))
+        for name, values in readings.items():
+            loads.outputs[name] = ca.vertcat(loads.outputs.get(name, ca.SX(0, 1)), *values)
+
+    def unpulled_lengths(self, rod: Rod, rule: Rule) -> Array:
+        """Path length (m,) in m of every tendon on the unloaded rod, by the quadrature of ``rule``."""
+        n = self._n_loaded(rule)
+        rest = rod.profile(rule.nodes[:n]).rest
+        straight = not np.any(rest[:3])
+        lengths = []
+        for route in self.offsets:
+            if straight and not callable(route):
+                lengths.append(rod.length if self.end is None else self.end)
+            else:
+                r, slope = sample(route, rule.nodes[:n], rod.length)
+                a = rest[3:] + np.cross(rest[:3], r, axis=0) + slope
+                lengths.append(float(np.linalg.norm(a, axis=0) @ rule.weights[:n]))
+        return np.array(lengths)
+
+    def check(self, rod: Rod, rule: Rule) -> None:
+        """Raise ValueError where the tendons do not fit a rod."""
+        n = self._n_loaded(rule)
+        for route in self.offsets:
+            r, slope = sample(route, rule.nodes[:n], rod.length)
+            if rod.strain_set.planar and (np.any(r[1]) or np.any(slope[1])):
+                raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
+
+    def _n_loaded(self, rule: Rule) -> int:
+        return nodes_before(self.end, rule, "Tendons")
+
+    def describe(self, rod: Any) -> str:
+        """Number, offset and drive."""
+        parallel = not any(callable(route) for route in self.offsets)
+        points = np.array([sample(route, np.zeros(1), rod.length)[0][:2, 0] for route in self.offsets])
+        radius = float(np.hypot(*points.T).mean())
+        end = "" if self.end is None else f", to s = {self.end:g} m"
+        friction = f", friction {self.friction:g}" if self.friction else ""
+        kind = "parallel" if parallel else "routed"
+        return f"{len(self.offsets)} {kind} tendons, offset {1e3 * radius:g} mm, {self.drive.describe()}{end}{friction}"
+
+
+def turned_angle(a: ca.SX, norm: ca.SX, motion: Motion, n: int) -> ca.SX:
+    """Angle (1, n) in rad by which a path with body tangent ``a`` (3, n) has turned between base and node.
+
+    The world tangent R a / |a| turns by |a x (a' + w x a)| / |a|^2 a metre; a' is that of the polynomial through the
+    nodes. Rounded over ``TURN_FLOOR`` / L where the path is straight.
+    """
+    rule = motion.rule
+    rate = a @ ca.DM(rule.differentiation[:n, :n].T) + columnwise_cross(motion.w[:, :n], a)
+    turn = columnwise_cross(a, rate) / ca.repmat(norm**2, 3, 1)
+    floor = TURN_FLOOR / rule.length
+    speed = ca.sqrt(ca.sum1(turn * turn) + floor**2) - floor
+    return speed @ ca.DM(rule.integration[:n, :n].T)
+
+
+def softplus(x: ca.SX, width: float) -> ca.SX:
+    """``max(0, x)`` with its corner rounded over ``width``; never overflows."""
+    return width * ca.log1p(ca.exp(-ca.fabs(x) / width)) + ca.fmax(x, 0.0)

@@ -1,0 +1,24 @@
+"""What was recorded and what is sampled: episodes, snapshot pairs, phase samples, recordings of other tools, files.
+
+Everything a model learns from comes through here and is checked here; files are HDF5, written whole or not at all.
+"""
+
+from pisplit.data.episodes import Episodes, Pairs, SimulatedSystem, Start, excited_directions
+from pisplit.data.phase import KnownSystem, PhaseSamples
+from pisplit.data.recordings import from_arrays, from_csv, from_mat
+from pisplit.data.units import columns_to_si, to_si
+
+__all__ = [
+    "Episodes",
+    "KnownSystem",
+    "Pairs",
+    "PhaseSamples",
+    "SimulatedSystem",
+    "Start",
+    "columns_to_si",
+    "excited_directions",
+    "from_arrays",
+    "from_csv",
+    "from_mat",
+    "to_si",
+]

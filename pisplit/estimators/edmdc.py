@@ -1,0 +1,106 @@
+"""Extended dynamic mode decomposition with control by one regression, linear in the lifted state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit.checks import non_negative, one_of, positive
+from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.phase import PhaseSamples
+from pisplit.dictionary.dictionary import Dictionary
+from pisplit.estimators.base import Equilibria, Estimator
+from pisplit.regression import PENALTIES
+from pisplit.splitting.base import Direct, SplitContext, Splitting
+
+Array = NDArray[np.float64]
+
+_D = TypeVar("_D", bound="DirectEDMDc")
+
+
+class DirectEDMDc(Estimator):
+    """K = argmin |K Theta(X, U) - psi(X')|^2 + alpha |K| (paper, eq. discrete-time-koop), from pairs alone.
+
+    theta      dictionary
+    alpha      weight of the penalty, or "cv": chosen on roll-outs of held-out training episodes
+    penalty    "ridge" (squared Frobenius norm) or "lasso"
+    scale      column scales: "quantity", "column" or None
+    relative   alpha is relative: to the mean diagonal of the Gram matrix for ridge, to the smallest alpha with an
+               all-zero answer for LASSO; False takes it as printed
+    alphas     grid for alpha="cv"
+    cv_states  states (output group, names or indices) whose roll-out error chooses alpha; default all
+    cv_tolerance  alpha="cv" takes the largest alpha whose error is within this fraction of the smallest. A few tenths
+               make models for control, where margins count more than the last percent of a roll-out (in the spirit of
+               the one-standard-error rule, Breiman et al., Classification and Regression Trees, 1984)
+    max_radius  bound on the spectral radius of A (the constant apart), that of the undriven model if it is bilinear:
+               modes outside move onto the circle, others and delays stay
+               (:func:`pisplit.estimators.boundedness.limited_rows`)
+    """
+
+    def __init__(
+        self,
+        theta: Dictionary,
+        alpha: float | str = 0.0,
+        penalty: str = "ridge",
+        scale: str | None = "quantity",
+        relative: bool = True,
+        alphas: Sequence[float] | None = None,
+        cv_states: str | Sequence[int] | Sequence[str] | None = None,
+        cv_tolerance: float = 0.0,
+        max_radius: float | None = None,
+    ) -> None:
+        self.theta = theta
+        self.alpha = alpha
+        one_of(penalty, "penalty", PENALTIES)
+        non_negative(cv_tolerance, "cv_tolerance")
+        if max_radius is not None:
+            positive(max_radius, "max_radius")
+        self.penalty = penalty
+        self.scale = scale
+        self.relative = relative
+        self.alphas = alphas
+        self.cv_states = cv_states
+        self.cv_tolerance = cv_tolerance
+        self.max_radius = max_radius
+
+    def fit(
+        self: _D,
+        d1: Episodes,
+        pairs: Pairs | None = None,
+        equilibria: Equilibria | None = None,
+        excitation: ArrayLike | None = None,
+    ) -> _D:
+        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
+
+        ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
+        counts as one pair, with the past equal to the present.
+        ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
+        the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
+        three times the magnitude of its quantity in the data (:class:`pisplit.estimators.excitation.Excitation`).
+        """
+        self._fit(d1, None, pairs, equilibria, excitation=excitation)
+        return self
+
+    def _splitting(self, context: SplitContext) -> Splitting:
+        return Direct(context)
+
+    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
+        return SplitContext(
+            theta=theta,
+            scale=scale,
+            dt=dt,
+            samples=samples,
+            penalty=self.penalty,
+            toward="zero",
+            half_step="auto",
+            rows=None,
+            relative=self.relative,
+            generator_alpha=0.0,
+        )
+
+
+class LinearEDMDc(DirectEDMDc):
+    """L-EDMDc: z+ = A z + B phi(u) (paper; Korda and Mezic, Automatica 93, 2018). Options: :class:`DirectEDMDc`."""

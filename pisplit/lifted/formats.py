@@ -1,0 +1,178 @@
+"""Models for other tools: arrays, state-space objects, C code."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.lifted.model import LiftedModel
+from pisplit.lifted.modes import refuse_bilinear
+
+Array = NDArray[np.float64]
+
+
+def to_numpy(model: LiftedModel) -> dict[str, Any]:
+    """A, B, c, C, d (and N of a bilinear model), dt and names as plain arrays, numbers and lists of text (copies)."""
+    arrays = {name: np.array(getattr(model, name)) for name in ("A", "B", "c", "C", "d", "state_range")}
+    arrays |= {} if model.N is None else {"N": np.array(model.N)}
+    names = ("state_names", "input_names", "column_names", "feature_names")
+    return {
+        **arrays,
+        "dt": model.dt,
+        "n_delays": model.n_delays,
+        **{name: list(getattr(model, name)) for name in names},
+    }
+
+
+def state_space_matrices(model: LiftedModel) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
+    """A, B, C, D and the names of the inputs of z+ = A z + B v, y = C z + D v with the features as inputs v.
+
+    A model with an affine term has one more input, "1", that is to be held at 1. Raises ValueError for bilinear models.
+    """
+    refuse_bilinear(model, "state-space form")
+    b, d = model.B, np.zeros((model.n_states, model.n_features))
+    names = model.feature_names
+    if model.c.any() or model.d.any():
+        b, d, names = np.column_stack([b, model.c]), np.column_stack([d, model.d]), (*names, "1")
+    return model.A, b, model.C, d, names
+
+
+def to_state_space(model: LiftedModel) -> Any:
+    """``scipy.signal.StateSpace`` in discrete time with the features of the inputs as inputs (plus "1" if affine)."""
+    from scipy.signal import StateSpace
+
+    a, b, c, d, _ = state_space_matrices(model)
+    return StateSpace(a, b, c, d, dt=model.dt)
+
+
+def to_control(model: LiftedModel) -> Any:
+    """``control.StateSpace`` with names, for python-control. Raises ValueError if that is not installed."""
+    try:
+        import control
+    except ImportError:
+        raise ValueError("python-control is not installed; run: pip install control") from None
+    a, b, c, d, names = state_space_matrices(model)
+    labels = {"states": model.column_names, "outputs": model.state_names, "inputs": names}
+    # Names of columns such as x1[k-1] hold characters that python-control reserves for itself.
+    plain = {key: [re.sub(r"[^\w]", "_", name) for name in group] for key, group in labels.items()}
+    return control.ss(a, b, c, d, model.dt, **plain)
+
+
+def to_c_header(model: LiftedModel, path: str | os.PathLike[str], name: str = "model") -> None:
+    """Write the model as one C99 header without dependencies but <math.h>: whole or not at all.
+
+    It defines NAME_STATES, NAME_INPUTS, NAME_LIFTED, NAME_FEATURES, NAME_DELAYS, NAME_DT and
+
+        void name_lift(const double *x_history, const double *u_history, double *z);
+        void name_features(const double *u, double *phi);
+        void name_step(const double *z, const double *u, double *z_next);
+        void name_read(const double *z, double *x);
+
+    Histories hold one time after another, oldest first; z_next must not be z.
+    Raises ValueError if the name is no C identifier, the folder is missing, or a function cannot be written in C.
+    """
+    target = Path(path)
+    if not re.fullmatch(r"[A-Za-z]\w*", name):
+        raise ValueError(f"name = {name!r}; expected a C identifier")
+    if not target.parent.is_dir():
+        raise ValueError(f"cannot write {target}: folder {target.parent} does not exist; create it first")
+    text = _header(model, name)
+    handle, part = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(text)
+        os.chmod(part, 0o644)
+        os.replace(part, target)
+    except BaseException:
+        Path(part).unlink(missing_ok=True)
+        raise
+
+
+def _header(model: LiftedModel, name: str) -> str:
+    upper = name.upper()
+    functions = {"lift": _renamed(model.lift_function, f"{name}_casadi_lift")}
+    functions["features"] = _renamed(model.input_function, f"{name}_casadi_features")
+    generator = ca.CodeGenerator(name, {"with_header": False, "casadi_real": "double"})
+    try:
+        for function in functions.values():
+            generator.add(function)
+        code = str(generator.dump())
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ValueError(f"a function of the model cannot be written in C: {reason}") from None
+    sizes = {
+        "STATES": model.n_states,
+        "INPUTS": model.n_inputs,
+        "LIFTED": model.n_lifted,
+        "FEATURES": model.n_features,
+        "DELAYS": model.n_delays,
+    }
+    lines = [
+        f"/* z+ = A z + B phi(u) + c, x = C z + d, every {model.dt:g} s. Include it in one source file. */",
+        f"#ifndef {upper}_H",
+        f"#define {upper}_H",
+        *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
+        f"#define {upper}_DT {model.dt!r}",
+        code,
+        *(_array(f"{name}_{letter}", getattr(model, letter)) for letter in ("A", "B", "c", "C", "d")),
+        *([] if model.N is None else [_array(f"{name}_N", model.N)]),
+        _wrapper(name, "lift", functions["lift"], ("x_history", "u_history"), "z"),
+        _wrapper(name, "features", functions["features"], ("u",), "phi"),
+        (_STEP % ("" if model.N is None else _BILINEAR)).replace("NAME", upper).replace("name", name),
+        "#endif",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _renamed(function: ca.Function, name: str) -> ca.Function:
+    symbols = [ca.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
+    return ca.Function(name, symbols, [ca.densify(function(*symbols))])
+
+
+def _array(name: str, values: Array) -> str:
+    numbers = [f"{float(value)!r}" for value in values.reshape(-1)] or ["0.0"]
+    rows = [", ".join(numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
+    return f"static const double {name}[{len(numbers)}] = {{\n" + ",\n".join(rows) + "};"
+
+
+def _wrapper(name: str, what: str, function: ca.Function, arguments: tuple[str, ...], result: str) -> str:
+    given = ", ".join(f"const double *{argument}" for argument in arguments)
+    assign = " ".join(f"arg[{i}] = {argument};" for i, argument in enumerate(arguments))
+    return (
+        f"static void {name}_{what}({given}, double *{result}) {{\n"
+        f"  const double *arg[{max(function.sz_arg(), 1)}]; double *res[{max(function.sz_res(), 1)}];\n"
+        f"  casadi_int iw[{max(function.sz_iw(), 1)}]; double w[{max(function.sz_w(), 1)}];\n"
+        f"  {assign} res[0] = {result};\n"
+        f"  {function.name()}(arg, res, iw, w, 0);\n}}"
+    )
+
+
+_STEP = """static void name_step(const double *z, const double *u, double *z_next) {
+  double phi[NAME_FEATURES + 1];
+  name_features(u, phi);
+  for (int i = 0; i < NAME_LIFTED; ++i) {
+    double sum = name_c[i];
+    for (int j = 0; j < NAME_LIFTED; ++j) sum += name_A[i * NAME_LIFTED + j] * z[j];
+    for (int j = 0; j < NAME_FEATURES; ++j) sum += name_B[i * NAME_FEATURES + j] * phi[j];
+%s    z_next[i] = sum;
+  }
+}
+static void name_read(const double *z, double *x) {
+  for (int i = 0; i < NAME_STATES; ++i) {
+    double sum = name_d[i];
+    for (int j = 0; j < NAME_LIFTED; ++j) sum += name_C[i * NAME_LIFTED + j] * z[j];
+    x[i] = sum;
+  }
+}"""
+
+_BILINEAR = """    for (int k = 0; k < NAME_INPUTS; ++k)
+      for (int j = 0; j < NAME_LIFTED; ++j)
+        sum += u[k] * name_N[(k * NAME_LIFTED + i) * NAME_LIFTED + j] * z[j];
+"""

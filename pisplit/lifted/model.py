@@ -1,0 +1,351 @@
+"""The identified model: linear in the lifted state, ready for roll-outs and for MPC."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit.checks import finite_array, positive
+from pisplit.data import store
+from pisplit.dictionary.products import BilinearTerm, Transition, runs, span
+from pisplit.mapping import Mapped
+
+Array = NDArray[np.float64]
+
+KIND = "pisplit/lifted-model"
+DIVERGENCE_FACTOR = 1e3
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Open-loop prediction of one episode, or of E episodes (leading axis E on every field).
+
+    x            (T+1, n) states; from the step of divergence on they hold the last admissible value
+    z            (T+1, M) lifted states as computed (after divergence they may overflow)
+    diverged     True if z overflowed or a state left 1e3 times the training range
+    diverged_at  first such step, or None; for E episodes an integer array with -1 for "never"
+    """
+
+    x: Array
+    z: Array
+    diverged: bool | NDArray[np.bool_]
+    diverged_at: int | NDArray[np.int64] | None
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedModel:
+    """z+ = A z + B phi(u) + sum_i u_i N_i z + c,  y = C z + d, in physical units.
+
+    A (M, M), B (M, P), c (M,), C (n, M), d (n,), dt [s]; N (m, M, M), or None for a model linear in z: nothing is
+    stored or computed then.
+    ``lift_function``: (x_history (n, D+1), u_history (m, D)) -> z (M,), columns are times, oldest first; x_history
+    holds x_{k-D}..x_k and u_history u_{k-D}..u_{k-1} with D = ``n_delays``.
+    ``input_function``: u (m,) -> phi (P,), the identity if the dictionary is linear in u.
+    ``outputs``: named groups of states, e.g. {"tip": (120, 121, 122)}.
+    ``input_offset`` (m,), ``input_basis`` (m, r): mean of the training inputs and an orthonormal basis of the
+    directions in which they vary; a controller keeps u in input_offset + span(input_basis): the data know no other.
+    ``state_range`` (n,): largest training magnitude per state; 1e3 times it counts as divergence.
+    ``provenance``: JSON-able facts about the origin of the model.
+
+    Raises ValueError for shapes that do not fit each other and for entries that are not finite.
+    """
+
+    A: Array
+    B: Array
+    c: Array
+    C: Array
+    d: Array
+    dt: float
+    lift_function: ca.Function
+    input_function: ca.Function
+    n_delays: int
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    column_names: tuple[str, ...]
+    feature_names: tuple[str, ...]
+    input_offset: Array
+    input_basis: Array
+    state_range: Array
+    outputs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    N: Array | None = None
+
+    def __post_init__(self) -> None:
+        n, m = len(self.state_names), len(self.input_names)
+        columns, features = len(self.column_names), len(self.feature_names)
+        basis = np.asarray(self.input_basis)
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "A": (columns, columns),
+            "B": (columns, features),
+            "c": (columns,),
+            "C": (n, columns),
+            "d": (n,),
+            "input_offset": (m,),
+            "input_basis": (m, basis.shape[-1] if basis.ndim == 2 else None),
+            "state_range": (n,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, finite_array(getattr(self, name), name, shape))
+        if self.N is not None:
+            object.__setattr__(self, "N", finite_array(self.N, "N", (m, columns, columns)))
+        positive(self.dt, "dt", "s")
+        history = (n, self.n_delays + 1), (m, self.n_delays)
+        _check_signature(self.lift_function, "lift_function", history, columns)
+        _check_signature(self.input_function, "input_function", ((m, 1),), features)
+        for name, indices in self.outputs.items():
+            if any(not 0 <= i < n for i in indices):
+                raise ValueError(f"outputs[{name!r}] = {tuple(indices)}; expected state indices from 0 to {n - 1}")
+        try:
+            json.dumps(dict(self.provenance))
+        except TypeError as error:
+            raise ValueError(f"provenance cannot be written as JSON: {error}; use numbers, texts, lists") from None
+
+    @property
+    def n_states(self) -> int:
+        """Number of states n."""
+        return len(self.state_names)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs m."""
+        return len(self.input_names)
+
+    @property
+    def n_lifted(self) -> int:
+        """Number of lifted states M."""
+        return len(self.column_names)
+
+    @property
+    def n_features(self) -> int:
+        """Number of input features P."""
+        return len(self.feature_names)
+
+    @property
+    def is_bilinear(self) -> bool:
+        """True if products of inputs and lifted states act, N is not None."""
+        return self.N is not None
+
+    @cached_property
+    def linear_in_u(self) -> bool:
+        """True if phi(u) = u and the model is not bilinear."""
+        if self.is_bilinear or self.n_features != self.n_inputs:
+            return False
+        rng = np.random.default_rng(0)
+        probe = rng.standard_normal((8, self.n_inputs)) * np.logspace(-3, 3, 8)[:, None]
+        return bool(np.array_equal(self.features(probe), probe))
+
+    def lift(self, x_history: ArrayLike, u_history: ArrayLike | None = None) -> Array:
+        """z (M,) from x_history (D+1, n) and u_history (D, m), rows are times, newest last (D = n_delays).
+
+        Without delays a single state x (n,) is accepted and u_history may be left out.
+        """
+        delays = self.n_delays
+        states = np.asarray(x_history, dtype=np.float64)
+        if delays == 0 and states.ndim == 1:
+            states = states[None, :]
+        states = finite_array(states, "x_history", (delays + 1, self.n_states))
+        if u_history is None and delays == 0:
+            u_history = np.zeros((0, self.n_inputs))
+        inputs = finite_array(np.asarray(u_history, dtype=np.float64), "u_history", (delays, self.n_inputs))
+        return self._lift(states.reshape(1, -1), inputs.reshape(1, -1))[0]
+
+    def features(self, inputs: ArrayLike) -> Array:
+        """phi (N, P) of inputs (N, m)."""
+        return self._features(finite_array(inputs, "U", (None, self.n_inputs)))
+
+    def feature_jacobian(self, inputs: ArrayLike) -> Array:
+        """d phi / d u (N, P, m) at inputs (N, m)."""
+        points = finite_array(inputs, "U", (None, self.n_inputs))
+        flat = self._jacobian(points)
+        return flat.reshape(len(points), self.n_inputs, self.n_features).transpose(0, 2, 1)
+
+    def step(self, z: ArrayLike, u: ArrayLike) -> Array:
+        """One step z (M,) -> z+ (M,) under the input u (m,)."""
+        state, inputs = np.asarray(z, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        following = self.A @ state + self.B @ self.features(inputs[None, :])[0] + self.c
+        if self.bilinear_term is not None:
+            following[self.bilinear_term.rows] += self.bilinear_term(state, inputs)
+        return np.asarray(following)
+
+    def transition(self, u: ArrayLike) -> Array:
+        """A + sum_i u_i N_i (M, M) under the input u (m,)."""
+        inputs = finite_array(u, "u", (self.n_inputs,))
+        return self.A.copy() if self.N is None else self.A + np.tensordot(inputs, self.N, axes=1)
+
+    def fixed_point(self, u: ArrayLike) -> Array:
+        """Lifted state z (M,) with z+ = z under the constant input u (m,); ``read(z)`` are the states.
+
+        The column "1" has its value 1. Raises ValueError where there is no fixed point, or a whole line of them.
+        """
+        inputs = finite_array(u, "u", (self.n_inputs,))
+        forcing = self.B @ self.features(inputs[None, :])[0] + self.c
+        matrix = np.eye(self.n_lifted) - self.transition(inputs)
+        z = np.zeros(self.n_lifted)
+        free = np.ones(self.n_lifted, dtype=bool)
+        if "1" in self.column_names and not matrix[self.column_names.index("1")].any():
+            one = self.column_names.index("1")
+            z[one], free[one] = 1.0, False
+        block, target = matrix[np.ix_(free, free)], (forcing - matrix @ z)[free]
+        # Balanced by a similarity, the rank does not depend on the units of the columns.
+        block, (units, _) = scipy.linalg.matrix_balance(block, permute=False, separate=True)
+        found, _, rank, _ = np.linalg.lstsq(block, target / units, rcond=1e-13)
+        if rank < len(block):
+            raise ValueError(
+                f"no single fixed point under u = {inputs.tolist()}: I - A has rank {rank} of {len(block)}; "
+                "the model holds an integrator, or a constant column that is not named '1'"
+            )
+        z[free] = units * found
+        return z
+
+    def read(self, z: ArrayLike) -> Array:
+        """States y (..., n) of lifted states z (..., M)."""
+        return np.asarray(z, dtype=np.float64) @ self.C.T + self.d
+
+    def rollout(self, z0: ArrayLike, inputs: ArrayLike) -> Rollout:
+        """Predict T steps from z0 (M,) under inputs (T, m), or E episodes at once from (E, M) under (E, T, m)."""
+        start = np.asarray(z0, dtype=np.float64)
+        if start.ndim == 2:
+            start = finite_array(start, "z0", (None, self.n_lifted))
+            return self._rollout_many(start, finite_array(inputs, "U", (len(start), None, self.n_inputs)))
+        start = finite_array(start, "z0", (self.n_lifted,))
+        batch = self._rollout_many(start[None], finite_array(inputs, "U", (None, self.n_inputs))[None])
+        at = int(np.asarray(batch.diverged_at)[0])
+        return Rollout(x=batch.x[0], z=batch.z[0], diverged=at >= 0, diverged_at=at if at >= 0 else None)
+
+    def predict(self, x_history: ArrayLike, u_history: ArrayLike | None, inputs: ArrayLike) -> Rollout:
+        """Lift the history, then roll out under inputs (T, m)."""
+        return self.rollout(self.lift(x_history, u_history), inputs)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model to an HDF5 file, whole or not at all."""
+        with store.writing(path, KIND) as file:
+            for name in _ARRAYS:
+                file[name] = getattr(self, name)
+            if self.N is not None:
+                file["N"] = self.N
+            for name in _FUNCTIONS:
+                store.write_text(file, name, getattr(self, name).serialize())
+            for name in _NAMES:
+                store.write_strings(file, name, getattr(self, name))
+            file.attrs["dt"] = self.dt
+            file.attrs["n_delays"] = self.n_delays
+            store.write_json(file, "outputs", {name: [int(i) for i in group] for name, group in self.outputs.items()})
+            store.write_json(file, "provenance", dict(self.provenance))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> LiftedModel:
+        """Read a saved model. Raises one line for files that are missing, truncated or of another kind."""
+        with store.reading(path, KIND) as file:
+            parts: dict[str, Any] = {name: np.asarray(file[name][()]) for name in _ARRAYS}
+            parts |= {name: ca.Function.deserialize(store.read_text(file, name)) for name in _FUNCTIONS}
+            parts |= {name: store.read_strings(file, name) for name in _NAMES}
+            parts["N"] = np.asarray(file["N"][()]) if "N" in file else None
+            return cls(
+                **parts,
+                dt=float(file.attrs["dt"]),
+                n_delays=int(file.attrs["n_delays"]),
+                outputs={name: tuple(group) for name, group in store.read_json(file, "outputs").items()},
+                provenance=store.read_json(file, "provenance"),
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {item.name: self.__dict__[item.name] for item in fields(self)}  # evaluators are rebuilt, not pickled
+
+    @cached_property
+    def _transition(self) -> Transition:
+        return Transition(self.A)
+
+    @cached_property
+    def bilinear_term(self) -> BilinearTerm | None:
+        """sum_i u_i N_i z without its zero rows and columns, or None."""
+        return None if self.N is None else BilinearTerm(self.N)
+
+    @cached_property
+    def _selected(self) -> slice | NDArray[np.int64] | None:
+        """Positions of the states in z if y = C z + d just takes them, or None."""
+        takes = np.count_nonzero(self.C, axis=1) == 1
+        at = np.argmax(self.C != 0.0, axis=1)
+        plain = takes.all() and not self.d.any() and bool((self.C[np.arange(len(at)), at] == 1.0).all())
+        return span(at) if plain else None
+
+    @cached_property
+    def _lift(self) -> Mapped:
+        return Mapped(self.lift_function)
+
+    @cached_property
+    def _features(self) -> Mapped:
+        return Mapped(self.input_function)
+
+    @cached_property
+    def _jacobian(self) -> Mapped:
+        u = ca.MX.sym("u", self.n_inputs)
+        return Mapped(ca.Function("feature_jacobian", [u], [ca.densify(ca.jacobian(self.input_function(u), u))]))
+
+    def _rollout_many(self, start: Array, inputs: Array) -> Rollout:
+        episodes, steps = inputs.shape[:2]
+        features = self.features(inputs.reshape(-1, self.n_inputs)).reshape(episodes, steps, -1)
+        # All inputs act through one product before the loop: a step is then one product with A and one sum.
+        z = np.empty((steps + 1, episodes, self.n_lifted))
+        z[0] = start
+        z[1:] = self.c
+        for driven in runs(np.flatnonzero(self.B.any(axis=1))):  # delays are not
+            z[1:, :, driven] += (features @ self.B[driven].T).transpose(1, 0, 2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if self.bilinear_term is not None:
+                _propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
+            else:
+                _propagate(self._transition, z)
+            x = (z[..., self._selected] if self._selected is not None else z @ self.C.T + self.d).transpose(1, 0, 2)
+            z = z.transpose(1, 0, 2)
+            within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
+            admissible = np.all(np.isfinite(z), axis=2) & np.all(within, axis=2)
+        at = np.where(admissible.all(axis=1), -1, np.argmin(admissible, axis=1))
+        x = np.array(x, order="C")  # apart from z, which a slice would share
+        for episode in np.flatnonzero(at >= 0):
+            x[episode, at[episode] :] = x[episode, max(at[episode] - 1, 0)]
+        return Rollout(x=x, z=z, diverged=at >= 0, diverged_at=at.astype(np.int64))
+
+
+_ARRAYS = ("A", "B", "c", "C", "d", "input_offset", "input_basis", "state_range")
+_FUNCTIONS = ("lift_function", "input_function")
+_NAMES = ("state_names", "input_names", "column_names", "feature_names")
+
+
+def _propagate(transition: Transition, z: Array) -> None:
+    """z_{k+1} += A z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
+    if z.shape[1] > 1:
+        for k in range(len(z) - 1):
+            transition.add(z[k], z[k + 1])
+        return
+    dot = transition if transition.structured else transition.matrix.dot
+    previous = z[0, 0]
+    for current in z[1:, 0]:
+        current += dot(previous)
+        previous = current
+
+
+def _propagate_bilinear(transition: Transition, term: BilinearTerm, z: Array, inputs: Array) -> None:
+    """z_{k+1} += A z_k + sum_i u_i N_i z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
+    for k in range(len(z) - 1):
+        transition.add(z[k], z[k + 1])
+        z[k + 1][:, term.rows] += term(z[k], inputs[:, k])
+
+
+def _check_signature(function: ca.Function, name: str, shapes: tuple[tuple[int, int], ...], rows: int) -> None:
+    if not isinstance(function, ca.Function):
+        raise ValueError(f"{name} is a {type(function).__name__}; expected a casadi.Function")
+    given = tuple(function.size_in(i) for i in range(function.n_in()))
+    if given != shapes or function.n_out() != 1 or function.size_out(0) != (rows, 1):
+        raise ValueError(
+            f"{name} maps {given} to {[function.size_out(i) for i in range(function.n_out())]}; "
+            f"expected {shapes} to [({rows}, 1)]"
+        )

@@ -1,0 +1,167 @@
+"""The hold split: known and unknown generators added, inputs linear over the step, one exponential.
+
+Strang splitting kicks once a step. Where the unknown part is stiff (tendons of a loaded arm: f and h both large, and
+cancelling) one kick is a poor model of what h does over the step. Here the generators are added before the exponential,
+which is the limit of the splitting for many sub-steps:
+
+    d/dt psi = L_f [psi; phi] + P H D [psi; phi],      psi_{k+1} = F psi_k + G_0 phi_{k-1} + G_1 phi_k
+
+L_f comes from phase-space samples (gEDMD), the few numbers H from trajectories; P are the directions in which the
+unknown part can act (ports) and D the features it can depend on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from pisplit.checks import finite_array
+from pisplit.data.episodes import Pairs
+from pisplit.generator.generator import generator_edmd
+from pisplit.regression import ridge
+from pisplit.splitting.base import Solver, SplitContext, SplitFit
+from pisplit.splitting.options import check_options, directions, generator_samples, ports
+
+Array = NDArray[np.float64]
+
+OPTIONS = ("tangent", "equilibrium", "ports", "loads")
+
+
+class Hold:
+    """L = L_f + P H D, exponentiated with inputs held (linear over the step when the dictionary delays inputs).
+
+    Options of the estimator (S learned columns, P input features, r ports):
+        tangent      PhaseSamples for L_f (default: d2): samples close to one state give the exact linearisation there,
+                     also of a stiff f, whose average over a large region is no generator of anything.
+        equilibrium  E (S, P) with psi_eq(u) = E phi(u). Both parts then act on the deviation psi - E phi only, and
+                     every equilibrium is kept exactly: f stands for the known part with the static load that holds
+                     x_eq(u).
+        ports        (S, r) directions of h; default: unit vectors of ``rows`` (all learned columns).
+        loads        (q, S) rows that select what h depends on, from the deviation; default: all of it. Without
+                     ``equilibrium`` h depends on all columns, or on input columns only with rows="inputs".
+
+    ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|^2, toward the
+    physical map K_0: large alpha keeps K_0, alpha = 0 is EDMDc. It is a ridge whatever ``penalty`` says, and neither
+    ``toward`` nor ``half_step`` play a part.
+    """
+
+    #: Default grid of alpha="cv": from the data alone to the physical map alone.
+    alphas = tuple(np.logspace(-8, 3, 12).tolist())
+
+    def __init__(self, context: SplitContext) -> None:
+        theta = context.theta
+        check_options(context, "hold", OPTIONS)
+        samples = generator_samples(context, "hold")
+        self.context = context
+        self.learned = theta.learned_columns
+        self.inputs = np.arange(theta.n_lifted, theta.n_columns)
+        ones = np.ones(theta.n_columns)
+        generator = generator_edmd(theta, samples, ones, context.generator_alpha)
+        size, features = len(self.learned), len(self.inputs)
+        self.scale = context.scale[self.learned]
+        self.drift = generator[np.ix_(self.learned, self.learned)]
+        self.drive = np.zeros((size, features + 1))  # of the inputs, and of the constant 1
+        self.drive[:, :features] = generator[np.ix_(self.learned, self.inputs)]
+        if theta.constant_column is not None:
+            self.drive[:, features] = generator[self.learned, theta.constant_column]
+        self.deviation = self._deviation(size, features)
+        if "equilibrium" in context.options:
+            self.drive = -self.drift @ self._equilibrium(size, features)
+        self.ports = ports(context)
+
+    def solver(self, pairs: Pairs) -> Solver:
+        """A function alpha -> fit for these pairs."""
+        theta, context = self.context.theta, self.context
+        size = theta.n_columns
+        moments = context.moments(pairs)
+        data = moments.rows(centred=False)
+        gains = self._identify(data[:, :size], data[:, size:])
+        physical = self._discrete(gains)
+        rows = moments.scaled(np.concatenate([context.scale, self.scale])).rows(centred=False)
+        a, y = rows[:, :size], rows[:, size:]
+        prior = physical * context.scale / self.scale[:, None]
+        residual = y - a @ prior.T
+        unit = float((a**2).sum() / size)
+        details = {"gains": gains.tolist(), "radius": float(np.abs(np.linalg.eigvals(self._transition(gains))).max())}
+
+        def solve(alpha: float) -> SplitFit:
+            weight = alpha * unit if context.relative else alpha
+            fit = ridge(a, residual, weight)
+            k = (prior + fit.K) * self.scale[:, None] / context.scale
+            return SplitFit(K=k, alpha=weight, rank=fit.rank, details=details)
+
+        return solve
+
+    def _identify(self, a: Array, y: Array) -> Array:
+        """H (r, q) that minimises the one-step residual, from H = 0 (the known physics) by least squares."""
+        shape = (self.ports.shape[1], self.deviation.shape[0])
+        unit = self._load_unit()
+
+        def residual(h: Array) -> Array:
+            with np.errstate(over="ignore", invalid="ignore"):
+                difference = (y - a @ self._discrete(h.reshape(shape) * unit).T) / self.scale
+            flat: Array = np.nan_to_num(difference, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
+            return flat
+
+        found = least_squares(residual, np.zeros(shape[0] * shape[1]), method="trf", x_scale=1.0)
+        gains: Array = found.x.reshape(shape) * unit
+        return gains
+
+    def _load_unit(self) -> Array:
+        """Size of each gain that changes the known drift by as much as itself: makes the unknowns comparable."""
+        along = np.linalg.pinv(self.ports)
+        size = len(self.learned)
+        natural = np.abs(along @ self.drift).max(axis=1, keepdims=True) if size else np.ones((0, 1))
+        natural = np.maximum(natural, 1e-12 * max(1.0, float(natural.max(initial=1.0))))
+        unit: Array = np.broadcast_to(natural, (self.ports.shape[1], self.deviation.shape[0])).copy()
+        return unit
+
+    def _transition(self, gains: Array) -> Array:
+        size = len(self.learned)
+        step = scipy.linalg.expm(self.context.dt * (self.drift + self.ports @ gains @ self.deviation[:, :size]))
+        return np.asarray(step)
+
+    def _discrete(self, gains: Array) -> Array:
+        """Rows K (S, M) of the one-step map: Van Loan's exponential with inputs linear (or constant) over the step."""
+        theta, dt = self.context.theta, self.context.dt
+        size, width = len(self.learned), self.drive.shape[1]
+        unknown = self.ports @ gains @ self.deviation
+        block = np.zeros((size + 2 * width, size + 2 * width))
+        block[:size, :size] = self.drift + unknown[:, :size]
+        block[:size, size : size + width] = self.drive + unknown[:, size:]
+        block[size : size + width, size + width :] = np.eye(width)
+        step = np.asarray(scipy.linalg.expm(dt * block))
+        held, ramp = step[:size, size : size + width], step[:size, size + width :] / dt
+        k = np.zeros((size, theta.n_columns))
+        k[:, self.learned] = step[:size, :size]
+        features = len(self.inputs)
+        if theta.input_delays:
+            past = np.arange(theta.n_lifted - features, theta.n_lifted)
+            k[:, past] = (held - ramp)[:, :features]
+            k[:, self.inputs] = ramp[:, :features]
+        else:
+            k[:, self.inputs] = held[:, :features]
+        if theta.constant_column is not None:
+            k[:, theta.constant_column] = held[:, features]
+        return k
+
+    def _equilibrium(self, size: int, features: int) -> Array:
+        given = finite_array(self.context.options["equilibrium"], "options['equilibrium']", (size, features))
+        return np.hstack([given, np.zeros((size, 1))])
+
+    def _deviation(self, size: int, features: int) -> Array:
+        """D (q, S + P + 1): features of h from [psi; phi; 1]."""
+        options = self.context.options
+        if "equilibrium" in options:
+            full = np.hstack([np.eye(size), -self._equilibrium(size, features)])
+            if "loads" not in options:
+                return full
+            return np.asarray(directions(options["loads"], "loads", (None, size)) @ full)
+        if "loads" in options:
+            raise ValueError("options['loads'] selects from the deviation; give options['equilibrium'] too")
+        every = np.eye(size + features + 1)
+        if self.context.theta.constant_column is None:
+            every = every[:-1]
+        return every[size : size + features] if self.context.rows == "inputs" else every

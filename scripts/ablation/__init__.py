@@ -1,0 +1,1 @@
+"""Every construction on the same draws of the arm and its variations."""

@@ -1,0 +1,89 @@
+"""Time of one MPC step on a lifted model of 723 columns."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from tqdm import tqdm
+
+from common.report import Report
+from pisplit import LiftedModel
+from pisplit.controllers import MPC
+
+COLUMNS = 723
+HORIZON = 20
+DT = 0.03
+#: Angles of the tendons, and what a pull of 1 m of one of them would move the tip by if the arm were linear.
+ANGLES = np.deg2rad([0.0, 120.0, 240.0])
+REACH = 20.0
+
+
+def measure_control(report: Report, quick: bool, seed: int) -> None:
+    """Track a circle of 0.1 m in 4 s with the model as its own, noisy, plant; limits of the paper's arm."""
+    rng = np.random.default_rng(seed)
+    model = arm_like_model(rng)
+    mpc = MPC(model, HORIZON, u_min=-0.015, u_max=0.015, du_max=0.002, track="tip", rate_weight=1e4)
+    mpc.reset(np.zeros(3))
+    steps = 200 if quick else 1000
+    angle = 2.0 * np.pi * DT / 4.0 * np.arange(steps + HORIZON + 1)
+    circle = 0.1 * np.stack([np.cos(angle) - 1.0, np.sin(angle), 0.0 * angle], axis=1)
+    state, spent, bad = np.zeros(COLUMNS), [], 0
+    for k in tqdm(range(steps), desc="MPC", unit="step"):
+        move = mpc.step(state, circle[k + 1 : k + 1 + HORIZON])
+        spent.append(1e3 * move.cpu_time)
+        bad += move.fallback
+        state = model.A @ state + model.B @ move.u + 1e-4 * rng.standard_normal(COLUMNS)
+    label = f"MPC step, H = {HORIZON}, M = {COLUMNS}"
+    report.figure(f"{label}, median", float(np.median(spent)), "ms", ("<=", 1.0))
+    report.figure(f"{label}, p99", float(np.percentile(spent, 99)), "ms", ("<=", 2.5))
+    report.figure(f"{label}, fallbacks", bad, "")
+
+
+def arm_like_model(rng: np.random.Generator) -> LiftedModel:
+    """A lifted model with the size and the slow modes of an identified arm: bending at 1.55 Hz with 6 % of damping in
+    two directions, overtones, and fast real modes, mixed by a random change of columns whose first three are the tip.
+    """
+    blocks, drives, reads = [], [], []
+    for k in range(12):
+        rate = 2.0 * np.pi * 1.55 * (1.0 + 0.7 * k)
+        growth, turn = np.exp(-0.06 * rate * DT), rate * DT * np.sqrt(1.0 - 0.06**2)
+        block = growth * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        direction = (0.5 * np.pi) * (k % 2)
+        pull = np.cos(ANGLES - direction) * 2.0 / 3.0
+        axis = np.array([np.cos(direction), np.sin(direction), 0.0])
+        settled = np.linalg.solve(np.eye(2) - block, np.array([1.0, 0.0]))[0]
+        blocks.append(block)
+        drives.append(np.stack([pull, 0.0 * pull]))
+        reads.append(np.stack([REACH / (1.0 + k) ** 3 / settled * axis, 0.0 * axis], axis=1))
+    fast = COLUMNS - 2 * len(blocks)
+    modes = np.zeros((COLUMNS, COLUMNS))
+    for k, block in enumerate(blocks):
+        modes[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
+    modes[range(2 * len(blocks), COLUMNS), range(2 * len(blocks), COLUMNS)] = rng.uniform(0.0, 0.8, fast)
+    drive = np.vstack([*drives, rng.standard_normal((fast, 3))])
+    mix = np.linalg.qr(rng.standard_normal((COLUMNS, COLUMNS)))[0]
+    mix[:3] = 0.0
+    mix[:3, : 2 * len(blocks)] = np.hstack(reads)
+    mix[2, 2 * len(blocks)] = 1e-2
+    back = np.linalg.inv(mix)
+    x, v, u = ca.MX.sym("x", COLUMNS), ca.MX.sym("v", 3, 0), ca.MX.sym("u", 3)
+    names, inputs = tuple(f"x{k}" for k in range(COLUMNS)), ("u1", "u2", "u3")
+    return LiftedModel(
+        A=mix @ modes @ back,
+        B=mix @ drive,
+        c=np.zeros(COLUMNS),
+        C=np.eye(COLUMNS),
+        d=np.zeros(COLUMNS),
+        dt=DT,
+        lift_function=ca.Function("lift", [x, v], [x]),
+        input_function=ca.Function("phi", [u], [u]),
+        n_delays=0,
+        state_names=names,
+        input_names=inputs,
+        column_names=names,
+        feature_names=inputs,
+        input_offset=np.zeros(3),
+        input_basis=np.linalg.svd(np.eye(3) - 1.0 / 3.0)[0][:, :2],
+        state_range=np.ones(COLUMNS),
+        outputs={"tip": (0, 1, 2)},
+    )

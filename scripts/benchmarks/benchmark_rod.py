@@ -1,0 +1,232 @@
+"""Work-precision of the rod, at rest and in motion: error against CPU time, beside other codes, in one process.
+
+Motion: a clamped rod under a tip load that ramps up and stays, once soft (E = 1 MPa, r = 1 cm) and once steel
+(E = 207 GPa, r = 1 mm). PyElastica (``pip install pisplit[bench]``) runs with its largest stable step, and with its
+clamp, which is first order, moved by half an element. All codes share the load, the shear correction and a drag
+proportional to mass; the method of lines (numpy + scipy BDF) is plane, all others are spatial. Errors are the largest
+distance of the tip from a reference by Radau of order 5 on 8 nodes, in parts of the largest travel of the tip. Codes
+are compared at equal error along their fronts (fastest run at each error), interpolated between runs.
+
+Rest: the same rods under the full load. Errors are the distance of the tip from the exact answer, in parts of L.
+PyElastica has no static solver (it would relax a damped motion); peers are a numpy shooting method and ``solve_bvp``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the other rooms of scripts/
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+from benchmarks.rod_peers import (
+    SOFT,
+    STEEL,
+    Case,
+    Run,
+    error,
+    run_elastica,
+    run_gauss,
+    run_idas,
+    run_lines,
+    run_reference,
+)
+from benchmarks.rod_static_peers import Solve, exact_tip, solve_by_collocation, solve_by_pisplit, solve_by_shooting
+from common.report import Report, parser
+from common.report import run as run_script
+
+#: Free strains of our rods: the soft rod shears, the steel rod does not (its shear is 1e-5 of its bending).
+STRAINS = {"soft": "cosserat", "steel": "kirchhoff"}
+PLANE = {"soft": "planar-cosserat", "steel": "planar"}
+#: Errors at which codes are compared, and how many times faster than PyElastica the rod shall be there.
+GOALS = {"soft": (3e-4, 5.0), "steel": (1e-3, 500.0)}
+COLOURS = {
+    "pisplit IDAS": ("#1b6ca8", "o"),
+    "pisplit IDAS, direct": ("#8ab8d8", "o"),
+    "pisplit IDAS, compiled": ("#0b3c5d", "o"),
+    "pisplit Gauss": ("#0f9d76", "D"),
+    "pisplit Gauss, compiled": ("#0a5c46", "D"),
+    "pisplit": ("#1b6ca8", "o"),
+    "pisplit, plane": ("#0f9d76", "D"),
+    "PyElastica": ("#d95f02", "s"),
+    "numpy + scipy BDF, plane": ("#7a7a7a", "^"),
+    "numpy shooting (RK4), plane": ("#7a7a7a", "^"),
+    "scipy solve_bvp, plane": ("#a05195", "v"),
+}
+
+
+def motion_jobs(case: Case, quick: bool) -> list[Callable[[], Run]]:
+    """All runs of a case."""
+    strains = STRAINS[case.name]
+    idas, gauss = partial(run_idas, case, strains), partial(run_gauss, case, strains)
+    jobs: list[Callable[[], Run]] = []
+    if quick:
+        jobs += [partial(idas, k, r) for k, r in ((4, 1e-3), (4, 1e-4), (5, 1e-4))]
+        jobs += [partial(gauss, k, s, 1) for k, s in ((4, 1), (4, 2), (5, 2))]
+        jobs += [partial(run_elastica, case, n, 4 if case is STEEL else None) for n in (20, 50)]
+        return jobs + ([partial(run_lines, case, 10, 1e-4)] if case is SOFT else [])
+    tolerances = (1e-3, 3e-4, 1e-4, 3e-5)
+    fewer = (1e-3, 1e-4, 3e-5)
+    jobs += [partial(idas, k, r) for k in (3, 4, 5, 6) for r in tolerances]
+    jobs += [partial(idas, k, r, balance="direct") for k in (4, 5) for r in fewer]
+    jobs += [partial(idas, k, r, True) for k in (4, 5) for r in fewer]
+    schemes = ((1, 1), (1, 2), (1, 4), (2, 1), (2, 2))
+    jobs += [partial(gauss, k, *scheme) for k in (3, 4, 5, 6) for scheme in schemes]
+    jobs += [partial(gauss, k, *scheme, True) for k in (4, 5) for scheme in schemes]
+    jobs += [partial(run_elastica, case, n) for n in (10, 20, 50, 100)]
+    return jobs + [partial(run_lines, case, n, 1e-4) for n in (10, 20, 40)]
+
+
+def measure_motion(case: Case, quick: bool) -> list[tuple[Run, float]]:
+    """All runs of a case with their errors."""
+    reference = run_reference(case, STRAINS[case.name], *((6, 1e-5) if quick else (8, 1e-6)))
+    runs = [job() for job in tqdm(motion_jobs(case, quick), desc=f"{case.name} rod, motion", unit="run")]
+    return [(run, error(run, reference)) for run in runs]
+
+
+def measure_rest(case: Case, quick: bool) -> list[Solve]:
+    """All static solves of a case."""
+    shear = case.name == "soft"
+    tip = exact_tip(case, shear)
+    strains, plane = STRAINS[case.name], PLANE[case.name]
+    nodes, steps = ((3, 5, 7), (5, 20, 80)) if quick else (range(2, 10), (3, 5, 10, 20, 40, 80, 160))
+    jobs: list[Callable[[], Solve]] = []
+    jobs += [partial(solve_by_pisplit, case, kind, k, tip) for kind in (strains, plane) for k in nodes]
+    jobs += [partial(solve_by_shooting, case, shear, n, tip) for n in steps]
+    jobs += [partial(solve_by_collocation, case, shear, 10.0**-k, tip) for k in ((3, 6) if quick else range(2, 11))]
+    return [job() for job in tqdm(jobs, desc=f"{case.name} rod, rest", unit="solve")]
+
+
+def motion_table(case: Case, rows: list[tuple[Run, float]]) -> str:
+    """One line a run, from the least to the largest error of each code."""
+    lines = [f"{case.name} rod in motion: F L^2/EI = {case.load:g}, {case.span:g} s simulated"]
+    lines.append(f"  {'code':<28}{'setting':<32}{'ms per 0.03 s':>14}{'error':>10}")
+    for run, off in sorted(rows, key=lambda row: (row[0].code, row[1])):
+        lines.append(f"  {run.code:<28}{run.setting:<32}{per_interval(case, run):>14.3f}{off:>10.1e}{run.note}")
+    return "\n".join(lines)
+
+
+def rest_table(case: Case, rows: list[Solve]) -> str:
+    """One line a solve."""
+    lines = [f"{case.name} rod at rest: F L^2/EI = {case.load:g}"]
+    lines.append(f"  {'code':<30}{'setting':<26}{'ms':>10}{'error / L':>12}")
+    lines += [f"  {r.code:<30}{r.setting:<26}{1e3 * r.seconds:>10.3f}{r.error:>12.1e}" for r in rows]
+    return "\n".join(lines)
+
+
+def per_interval(case: Case, run: Run) -> float:
+    """CPU time in ms per 0.03 s simulated."""
+    return 1e3 * run.seconds * 0.03 / case.span
+
+
+def front(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """(time, error) of the runs that no faster run beats in error, from the fastest on."""
+    kept: list[tuple[float, float]] = []
+    for time, off in sorted(points):
+        if np.isfinite(off) and (not kept or off < kept[-1][1]):
+            kept.append((time, off))
+    return kept
+
+
+def time_at(points: list[tuple[float, float]], limit: float) -> float:
+    """Time along the front at an error, interpolated in logarithms; NaN where no run is that accurate."""
+    line = front(points)
+    if not line or line[-1][1] > limit:
+        return float("nan")
+    times, errors = (np.log(np.array(column)) for column in zip(*line, strict=True))
+    return float(np.exp(np.interp(-np.log(limit), -errors, times)))
+
+
+def compare(report: Report, case: Case, rows: list[tuple[Run, float]]) -> None:
+    """Times of all codes at the error of the goal, and how many times faster than PyElastica they are."""
+    limit, factor = GOALS[case.name]
+    points = {code: [(per_interval(case, r), e) for r, e in rows if r.code == code] for code in codes(rows)}
+    peer = time_at(points["PyElastica"], limit)
+    for code, found in points.items():
+        at = time_at(found, limit)
+        if not np.isfinite(at):
+            print(f"{case.name}: no run of {code} is within {limit:g}")
+            continue
+        report.figure(f"{case.name}: {code}, at error {limit:g}", at, "ms per 0.03 s")
+        if code.startswith("pisplit"):
+            report.figure(f"{case.name}: {code}, times faster than PyElastica", peer / at, "")
+    own = [time_at(found, limit) for code, found in points.items() if code in ("pisplit IDAS", "pisplit Gauss")]
+    name = f"{case.name}: best without compiler, times faster than PyElastica at error {limit:g}"
+    report.figure(name, peer / float(np.nanmin(own)), "", (">=", factor))
+
+
+def codes(rows: list[tuple[Run, float]]) -> list[str]:
+    """Codes in the order of their first run."""
+    return list(dict.fromkeys(run.code for run, _ in rows))
+
+
+def lines_of(axis: Any, points: dict[str, list[tuple[float, float]]]) -> None:
+    """Runs as marks, the front of each code as a line."""
+    for code, found in points.items():
+        colour, mark = COLOURS[code]
+        shown = [point for point in found if np.isfinite(point[1]) and point[1] > 0.0]
+        if shown:
+            axis.loglog(*zip(*shown, strict=True), mark, ls="", color=colour, ms=4.5, alpha=0.45)
+            axis.loglog(*zip(*front(shown), strict=True), marker=mark, color=colour, ms=4.5, lw=1.5, label=code)
+    axis.grid(alpha=0.25)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.legend(frameon=False, fontsize=8)
+
+
+def draw(motion: dict[str, list[tuple[Run, float]]], rest: dict[str, list[Solve]], path: Path) -> None:
+    """Error against CPU time: motion above, rest below, one column a rod."""
+    figure, axes = plt.subplots(2, len(motion), figsize=(6.6 * len(motion), 9.4), constrained_layout=True)
+    for column, (name, rows) in zip(axes.T, motion.items(), strict=True):
+        case = SOFT if name == "soft" else STEEL
+        lines_of(column[0], {c: [(per_interval(case, r), e) for r, e in rows if r.code == c] for c in codes(rows)})
+        column[0].axhline(GOALS[name][0], color="k", lw=0.7, ls=":")
+        column[0].set(
+            title=f"{name} rod in motion (lines: fronts; dotted: error of the goal)",
+            xlabel="CPU time (ms per 0.03 s simulated)",
+            ylabel="largest tip error / largest tip travel",
+        )
+        found = rest[name]
+        names = dict.fromkeys(r.code for r in found)
+        lines_of(column[1], {c: [(1e3 * r.seconds, r.error) for r in found if r.code == c] for c in names})
+        column[1].set(title=f"{name} rod at rest", xlabel="CPU time of a solve (ms)", ylabel="tip error / L")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def main() -> None:
+    made = parser(__doc__ or "")
+    arguments = made.parse_args()
+    if find_spec("elastica") is None:
+        made.error("PyElastica is not installed; get it by: pip install pyelastica")
+    report = Report.of("rod against peers", arguments)
+    motion, rest = {}, {}
+    for case in (SOFT, STEEL):
+        rest[case.name] = measure_rest(case, arguments.quick)
+        motion[case.name] = measure_motion(case, arguments.quick)
+        print(rest_table(case, rest[case.name]))
+        print(motion_table(case, motion[case.name]))
+        compare(report, case, motion[case.name])
+        for code in dict.fromkeys(r.code for r in rest[case.name]):
+            at = time_at([(1e3 * r.seconds, r.error) for r in rest[case.name] if r.code == code], 1e-6)
+            report.figure(f"{case.name} at rest: {code}, at error 1e-6 L", at, "ms")
+    draw(motion, rest, arguments.out / "benchmark_rod.png")
+    print(report)
+    report.write(arguments.json)
+
+
+if __name__ == "__main__":
+    run_script(main)

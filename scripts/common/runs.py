@@ -1,0 +1,224 @@
+"""Cells of a protocol: law x method x |D1| x |D2| x seed, in parallel, each on disk as soon as it is there."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import threading
+import time
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import joblib
+import numpy as np
+from tqdm import tqdm
+
+from common.data import PaperData
+from common.protocol import Draw, Errors, Method, all_pairs, evaluate, random_pairs
+from pisplit import PhaseSamples
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One fit: a method on n1 pairs of a seed and the first n2 phase-space samples."""
+
+    law: str
+    method: str
+    n1: int
+    n2: int
+    seed: int
+
+    def path(self, folder: Path) -> Path:
+        """File of its errors."""
+        return folder / self.law / self.method / f"{self.n1}-{self.n2}-{self.seed}.npz"
+
+
+@dataclass(frozen=True)
+class Result:
+    """Errors of a cell, the CPU time of its fit in s, facts about the fit; a refused fit diverges everywhere."""
+
+    errors: Errors
+    seconds: float
+    facts: Mapping[str, Any]
+
+
+class Source(Protocol):
+    """Where the data of a law come from."""
+
+    def load_or_make(self) -> PaperData:
+        """The data; a killed run continues."""
+
+    def __hash__(self) -> int:
+        """Equal sources are read once."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Cells of one law, method and seed, by growing n1: nested draws share their moments."""
+
+    source: Source
+    method: Method
+    cells: tuple[Cell, ...]
+    folder: Path
+
+    def __call__(self) -> int:
+        """Fit and evaluate what is not on disk; returns the number of cells."""
+        data = _data(self.source)
+        for cell in self.cells:
+            if not zipfile.is_zipfile(cell.path(self.folder)):  # a truncated file is none
+                _write(cell.path(self.folder), run_cell(cell, self.method, data))
+        return len(self.cells)
+
+
+def run_cell(cell: Cell, method: Method, data: PaperData) -> Result:
+    """Draw, fit, roll out."""
+    rows = random_pairs(data.training, cell.n1, cell.seed)
+    draw = Draw(cell.law, data.training, rows, _first(data.d2, cell.n2), cell.seed)
+    begin = time.process_time()
+    try:
+        predictor = method.fit(draw)
+    except ValueError as error:
+        return Result(_refused(data), time.process_time() - begin, {"refused": str(error)})
+    seconds = time.process_time() - begin
+    model = getattr(predictor, "model", None)
+    return Result(evaluate(predictor, data.test), seconds, dict(getattr(model, "provenance", {})))
+
+
+def run_cells(
+    sources: Mapping[str, Source],
+    methods: Sequence[Method],
+    cells: Sequence[Cell],
+    folder: Path,
+    settings: Mapping[str, Any],
+    workers: int = -1,
+    progress: bool = True,
+) -> dict[Cell, Result]:
+    """Results of all cells. Those on disk are read, if they were made with the same ``settings``.
+
+    Raises ValueError for a folder of other settings. Results do not depend on ``workers``.
+    """
+    claim(folder, settings)
+    by_name = {method.name: method for method in methods}
+    groups: dict[tuple[str, str, int], list[Cell]] = {}
+    for cell in sorted(cells, key=lambda c: (c.n1, c.n2)):
+        groups.setdefault((cell.law, cell.method, cell.seed), []).append(cell)
+    chains = [Chain(sources[law], by_name[name], tuple(group), folder) for (law, name, _), group in groups.items()]
+    chains.sort(key=lambda chain: -sum(cell.n1 for cell in chain.cells))  # long ones first
+    todo = [c for c in chains if not all(zipfile.is_zipfile(cell.path(folder)) for cell in c.cells)]
+    paths = [cell.path(folder) for chain in todo for cell in chain.cells]
+    with tqdm(total=len(paths), desc=folder.name, disable=not progress, unit="fit") as bar, _counting(paths, bar):
+        joblib.Parallel(n_jobs=workers)(joblib.delayed(chain)() for chain in todo)
+    return {cell: read(cell.path(folder)) for cell in cells}
+
+
+@contextmanager
+def _counting(paths: Sequence[Path], bar: tqdm[Any]) -> Iterator[None]:
+    """Move the bar by the files that are there: a chain of fits is over after minutes, its fits after seconds."""
+    over = threading.Event()
+
+    def count() -> None:
+        while not over.wait(1.0):
+            bar.update(sum(path.exists() for path in paths) - bar.n)
+
+    counter = threading.Thread(target=count, daemon=True)
+    counter.start()
+    try:
+        yield
+    finally:
+        over.set()
+        counter.join()
+        bar.update(sum(path.exists() for path in paths) - bar.n)
+
+
+def curve_cells(laws: Sequence[str], methods: Sequence[str], sizes: Mapping[int, int], n2: int) -> Iterator[Cell]:
+    """Cells of the error over |D1|: ``sizes`` maps n1 to its number of draws."""
+    for law in laws:
+        for method in methods:
+            for n1, draws in sizes.items():
+                for seed in range(draws):
+                    yield Cell(law, method, n1, n2, seed)
+
+
+def grid_cells(laws: Sequence[str], method: str, sizes: Mapping[int, int], n2s: Sequence[int]) -> Iterator[Cell]:
+    """Cells of the error over |D1| x |D2| for one method."""
+    for n2 in n2s:
+        yield from curve_cells(laws, [method], sizes, n2)
+
+
+def largest(data: PaperData) -> int:
+    """Number of training pairs of all episodes."""
+    return all_pairs(data.training)
+
+
+def claim(folder: Path, settings: Mapping[str, Any]) -> None:
+    """A folder belongs to runs of one kind of settings."""
+    text = json.dumps(settings, sort_keys=True, indent=1)
+    marker = folder / "run.json"
+    if marker.exists():
+        if marker.read_text() != text:
+            raise ValueError(f"{folder} holds results of other settings; delete it or choose another --out")
+        return
+    write_text(marker, text)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    with os.fdopen(handle, "w") as file:
+        file.write(text)
+    os.replace(name, path)
+
+
+def read(path: Path) -> Result:
+    """Result of a finished cell."""
+    with np.load(path) as file:
+        errors = Errors(file["shape"].astype(float), file["velocity"].astype(float), file["diverged_at"])
+        return Result(errors, float(file["seconds"]), json.loads(str(file["facts"])))
+
+
+def _write(path: Path, result: Result) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    arrays: dict[str, Any] = asdict(result.errors)
+    with np.errstate(over="ignore"), os.fdopen(handle, "wb") as file:
+        np.savez(
+            file,
+            shape=arrays["shape"].astype(np.float32),
+            velocity=arrays["velocity"].astype(np.float32),
+            diverged_at=arrays["diverged_at"],
+            seconds=result.seconds,
+            facts=json.dumps(result.facts),
+        )
+    os.replace(name, path)
+
+
+def _refused(data: PaperData) -> Errors:
+    from common.protocol import HISTORY
+
+    shape = (len(data.test), len(data.test.us[0]) - HISTORY)
+    return Errors(np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(len(data.test), dtype=np.int64))
+
+
+@lru_cache(maxsize=2)
+def _data(source: Source) -> PaperData:
+    return source.load_or_make()
+
+
+_FIRST: dict[tuple[int, int], tuple[PhaseSamples, PhaseSamples]] = {}
+
+
+def _first(d2: PhaseSamples, count: int) -> PhaseSamples:
+    """The first ``count`` samples, the same object every time: methods keep what they learned from it."""
+    key = (id(d2), count)
+    if key not in _FIRST:
+        if count > len(d2):
+            raise ValueError(f"{count} phase-space samples asked for; there are {len(d2)}")
+        _FIRST[key] = (d2, d2 if count == len(d2) else d2.take(np.arange(count)))
+    return _FIRST[key][1]

@@ -1,0 +1,1 @@
+"""The paper's experiment: its methods, tables, figures and the reasons behind them."""

@@ -1,0 +1,1 @@
+"""Random and extreme scenes and data: where the rod and the identification stop."""
