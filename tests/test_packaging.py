@@ -23,11 +23,14 @@ print(pisplit.__file__, rod.__file__, pisplit.controllers.__file__, sep="\\n")
 
 LOADED = """
 import importlib, pkgutil, sys
-package = importlib.import_module({package!r})
 others = {others!r}
-for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-    if not module.name.startswith(others):
-        importlib.import_module(module.name)
+rooms = [{package!r}]
+for name in rooms:
+    for module in pkgutil.iter_modules(importlib.import_module(name).__path__, name + "."):
+        if not module.name.startswith(others):
+            importlib.import_module(module.name)
+            if module.ispkg:
+                rooms.append(module.name)
 print(*[name for name in sys.modules if name.startswith(others)])
 """
 

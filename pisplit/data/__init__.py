@@ -5,7 +5,6 @@ Everything a model learns from comes through here and is checked here; files are
 
 from pisplit.data.episodes import Episodes, Pairs, SimulatedSystem, Start, excited_directions
 from pisplit.data.phase import KnownSystem, PhaseSamples
-from pisplit.data.recordings import from_arrays, from_csv, from_mat
 from pisplit.data.units import columns_to_si, to_si
 
 __all__ = [
@@ -17,8 +16,5 @@ __all__ = [
     "Start",
     "columns_to_si",
     "excited_directions",
-    "from_arrays",
-    "from_csv",
-    "from_mat",
     "to_si",
 ]
