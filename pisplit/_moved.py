@@ -50,6 +50,9 @@ class _Moved(MetaPathFinder, Loader):
 
     places = _places()
 
+    def __init__(self) -> None:
+        self._own: dict[str, ModuleSpec | None] = {}
+
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
@@ -58,11 +61,13 @@ class _Moved(MetaPathFinder, Loader):
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         new = self.places[spec.name]
         warnings.warn(f"{spec.name} is now {new}", DeprecationWarning, stacklevel=2)
-        return importlib.import_module(new)
+        module = importlib.import_module(new)
+        self._own[new] = module.__spec__
+        return module
 
     def exec_module(self, module: ModuleType) -> None:
         """The module has been executed at its own place, whose spec stays its own."""
-        module.__spec__ = ModuleSpec(module.__name__, module.__loader__, origin=module.__file__)
+        module.__spec__ = self._own.pop(module.__name__)
 
 
 def follow() -> None:
