@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import casadi as ca
@@ -11,6 +12,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BLOCK = 1024
+#: Numbers of samples whose work memory is kept.
+SIZES = 32
+
+_BUILDING = threading.Lock()  # CasADi's graphs count their references without locks
 
 
 class Mapped:
@@ -19,33 +24,46 @@ class Mapped:
     A matrix argument (r, c) of the function is given column after column, i.e. row i of the argument is the
     C-ordered flattening of its transpose (times as rows). Samples go through one mapped function in blocks,
     with CasADi's buffer interface, which costs microseconds where converting to DM costs a hundred.
+    Threads may share one object: every call has work memory of its own. Copies and pickles hold the function alone.
     Raises ValueError if the function fails on a sample (a rootfinder that does not converge).
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._function = function
         self._n_out = function.numel_out(0)
-        self._evaluators: dict[int, _Evaluator] = {}
+        self._idle: dict[int, list[_Evaluator]] = {}
 
     def __call__(self, *arguments: Array) -> Array:
+        """Results (N, p) for ``arguments``, one array (N, k_i) for each argument of the function."""
         n = len(arguments[0])
         result = np.empty((n, self._n_out))
         for first in range(0, n, BLOCK):
             last = min(first + BLOCK, n)
+            evaluator = self._taken(last - first)
             try:
-                self._evaluator(last - first)([argument[first:last] for argument in arguments], result[first:last])
+                evaluator([argument[first:last] for argument in arguments], result[first:last])
             except RuntimeError as error:
                 reason = str(error).strip().splitlines()[-1]
                 name = self._function.name()
                 raise ValueError(f"{name} cannot be evaluated on samples {first} to {last - 1}: {reason}") from None
+            self._idle.setdefault(last - first, []).append(evaluator)
         return result
 
-    def _evaluator(self, n: int) -> _Evaluator:
-        if n not in self._evaluators:
-            if len(self._evaluators) > 32:
-                self._evaluators.clear()
-            self._evaluators[n] = _Evaluator(self._function, n)
-        return self._evaluators[n]
+    def __getstate__(self) -> ca.Function:
+        return self._function
+
+    def __setstate__(self, function: ca.Function) -> None:
+        Mapped.__init__(self, function)
+
+    def _taken(self, n: int) -> _Evaluator:
+        """An evaluator of n samples that nobody else uses: the caller puts it back among the idle ones."""
+        try:
+            return self._idle[n].pop()  # one operation, which no other thread can divide
+        except (KeyError, IndexError):
+            if len(self._idle) > SIZES:
+                self._idle.clear()
+            with _BUILDING:
+                return _Evaluator(self._function, n)
 
 
 class _Evaluator:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -55,6 +55,7 @@ class LiftedModel:
     directions in which they vary; a controller keeps u in input_offset + span(input_basis): the data know no other.
     ``state_range`` (n,): largest training magnitude per state; 1e3 times it counts as divergence.
     ``provenance``: JSON-able facts about the origin of the model.
+    ``state_units`` (n,), ``input_units`` (m,): units as texts, those of the training data; "" where nobody said.
 
     Raises ValueError for shapes that do not fit each other and for entries that are not finite.
     """
@@ -78,6 +79,8 @@ class LiftedModel:
     outputs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     N: Array | None = None
+    state_units: Sequence[str] | None = None
+    input_units: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         n, m = len(self.state_names), len(self.input_names)
@@ -97,6 +100,8 @@ class LiftedModel:
             object.__setattr__(self, name, finite_array(getattr(self, name), name, shape))
         if self.N is not None:
             object.__setattr__(self, "N", finite_array(self.N, "N", (m, columns, columns)))
+        for name, size in (("state_units", n), ("input_units", m)):
+            object.__setattr__(self, name, _units(getattr(self, name), name, size))
         positive(self.dt, "dt", "s")
         history = (n, self.n_delays + 1), (m, self.n_delays)
         _check_signature(self.lift_function, "lift_function", history, columns)
@@ -128,6 +133,11 @@ class LiftedModel:
     def n_features(self) -> int:
         """Number of input features P."""
         return len(self.feature_names)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units (n,) of the states, as ``Episodes.units``."""
+        return tuple(self.state_units or ())
 
     @property
     def is_bilinear(self) -> bool:
@@ -234,7 +244,7 @@ class LiftedModel:
                 file["N"] = self.N
             for name in _FUNCTIONS:
                 store.write_text(file, name, getattr(self, name).serialize())
-            for name in _NAMES:
+            for name in (*_NAMES, *_UNITS):
                 store.write_strings(file, name, getattr(self, name))
             file.attrs["dt"] = self.dt
             file.attrs["n_delays"] = self.n_delays
@@ -248,6 +258,7 @@ class LiftedModel:
             parts: dict[str, Any] = {name: np.asarray(file[name][()]) for name in _ARRAYS}
             parts |= {name: ca.Function.deserialize(store.read_text(file, name)) for name in _FUNCTIONS}
             parts |= {name: store.read_strings(file, name) for name in _NAMES}
+            parts |= {name: store.read_strings(file, name) for name in _UNITS if name in file}
             parts["N"] = np.asarray(file["N"][()]) if "N" in file else None
             return cls(
                 **parts,
@@ -318,6 +329,7 @@ class LiftedModel:
 _ARRAYS = ("A", "B", "c", "C", "d", "input_offset", "input_basis", "state_range")
 _FUNCTIONS = ("lift_function", "input_function")
 _NAMES = ("state_names", "input_names", "column_names", "feature_names")
+_UNITS = ("state_units", "input_units")
 
 
 def _propagate(transition: Transition, z: Array) -> None:
@@ -338,6 +350,13 @@ def _propagate_bilinear(transition: Transition, term: BilinearTerm, z: Array, in
     for k in range(len(z) - 1):
         transition.add(z[k], z[k + 1])
         z[k + 1][:, term.rows] += term(z[k], inputs[:, k])
+
+
+def _units(given: Sequence[str] | None, what: str, size: int) -> tuple[str, ...]:
+    units = ("",) * size if given is None else tuple(given)
+    if len(units) != size or not all(isinstance(unit, str) for unit in units):
+        raise ValueError(f'{what} = {given!r}; expected {size} texts, "" where the unit is not known')
+    return units
 
 
 def _check_signature(function: ca.Function, name: str, shapes: tuple[tuple[int, int], ...], rows: int) -> None:

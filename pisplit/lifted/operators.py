@@ -56,6 +56,8 @@ def lifted_model(
         state_range=state_range(pairs, theta.names.quantities),
         outputs={name: tuple(group) for name, group in (episodes.outputs or {}).items()},
         provenance=dict(provenance),
+        state_units=episodes.units,
+        input_units=getattr(episodes, "input_units", None),
     )
 
 
