@@ -52,7 +52,7 @@ class Estimator(ABC):
     alpha: float | str
     penalty: str
     scale: str | None
-    relative: bool
+    relative: bool | str
     alphas: Sequence[float] | None
     cv_states: str | Sequence[int] | Sequence[str] | None
     cv_tolerance: float

@@ -8,12 +8,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import non_negative, one_of, positive
+from pisplit.checks import non_negative, positive
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Equilibria, Estimator
-from pisplit.regression import PENALTIES
+from pisplit.regression import check_penalty
 from pisplit.splitting.base import Direct, SplitContext, Splitting
 
 Array = NDArray[np.float64]
@@ -28,8 +28,10 @@ class DirectEDMDc(Estimator):
     alpha      weight of the penalty, or "cv": chosen on roll-outs of held-out training episodes
     penalty    "ridge" (squared Frobenius norm) or "lasso"
     scale      column scales: "quantity", "column" or None
-    relative   alpha is relative: to the mean diagonal of the Gram matrix for ridge, to the smallest alpha with an
-               all-zero answer for LASSO; False takes it as printed
+    relative   what alpha is relative to: True = the data (the mean diagonal of the Gram matrix for ridge, the smallest
+               alpha with an all-zero answer for LASSO), "samples" = the number of pairs (the paper's 0.01 N), False =
+               nothing
+    solver     of a LASSO: "auto", "active-set" or "cvxpy" (:func:`pisplit.regression.lasso`)
     alphas     grid for alpha="cv"
     cv_states  states (output group, names or indices) whose roll-out error chooses alpha; default all
     cv_tolerance  alpha="cv" takes the largest alpha whose error is within this fraction of the smallest. A few tenths
@@ -46,15 +48,16 @@ class DirectEDMDc(Estimator):
         alpha: float | str = 0.0,
         penalty: str = "ridge",
         scale: str | None = "quantity",
-        relative: bool = True,
+        relative: bool | str = True,
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
         cv_tolerance: float = 0.0,
         max_radius: float | None = None,
+        solver: str = "auto",
     ) -> None:
         self.theta = theta
         self.alpha = alpha
-        one_of(penalty, "penalty", PENALTIES)
+        check_penalty(penalty, solver, relative)
         non_negative(cv_tolerance, "cv_tolerance")
         if max_radius is not None:
             positive(max_radius, "max_radius")
@@ -65,6 +68,7 @@ class DirectEDMDc(Estimator):
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
         self.max_radius = max_radius
+        self.solver = solver
 
     def fit(
         self: _D,
@@ -98,6 +102,7 @@ class DirectEDMDc(Estimator):
             half_step="auto",
             rows=None,
             relative=self.relative,
+            solver=self.solver,
             generator_alpha=0.0,
         )
 

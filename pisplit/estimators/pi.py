@@ -14,7 +14,7 @@ from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Equilibria, Estimator
 from pisplit.generator.generator import HALF_STEPS
-from pisplit.regression import PENALTIES
+from pisplit.regression import check_penalty
 from pisplit.splitting.balanced import Balanced
 from pisplit.splitting.base import Lie, Rows, SplitContext, Splitting, Strang
 from pisplit.splitting.two_stage import TwoStage
@@ -57,7 +57,7 @@ class PIEDMDc(Estimator):
                      of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
                      the others, which take K_f twice); {name: weight}: the same, with weights on the penalty of rows
                      where h is expected to be small
-    scale, relative, alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
+    scale, relative, solver, alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
     generator_alpha  ridge of the regression that identifies the generator or flow map, relative to its Gram diagonal
     options          further options of the splitting (balanced, hold: see there)
 
@@ -77,15 +77,16 @@ class PIEDMDc(Estimator):
         half_step: str = "auto",
         rows: Rows = None,
         scale: str | None = "quantity",
-        relative: bool = True,
+        relative: bool | str = True,
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
         cv_tolerance: float = 0.0,
         generator_alpha: float = 0.0,
         options: Mapping[str, Any] | None = None,
         max_radius: float | None = None,
+        solver: str = "auto",
     ) -> None:
-        one_of(penalty, "penalty", PENALTIES)
+        check_penalty(penalty, solver, relative)
         one_of(toward, "toward", TOWARD)
         one_of(split, "split", tuple(SPLITS))
         if isinstance(rows, Mapping) and split in ("balanced", "hold"):
@@ -114,6 +115,7 @@ class PIEDMDc(Estimator):
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
         self.max_radius = max_radius
+        self.solver = solver
         self.generator_alpha = generator_alpha
         self.options = options
 
@@ -159,6 +161,7 @@ class PIEDMDc(Estimator):
             half_step=self.half_step,
             rows=self.rows,
             relative=self.relative,
+            solver=self.solver,
             generator_alpha=self.generator_alpha,
             options=self.options or {},
         )

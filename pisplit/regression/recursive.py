@@ -9,6 +9,7 @@ from pisplit.checks import count, finite_array, finite_number, non_negative, pos
 from pisplit.regression.lasso import lasso
 from pisplit.regression.least_squares import ridge
 from pisplit.regression.multi_target import Regression
+from pisplit.regression.penalties import check_penalty
 
 Array = NDArray[np.float64]
 
@@ -61,10 +62,16 @@ class RecursiveRegression:
         """A and Y of at most M + S rows that stand for all weighted samples in any regression."""
         return self._triangle[:, : self.columns].copy(), self._triangle[:, self.columns :].copy()
 
-    def solve(self, alpha: float = 0.0, penalty: str = "ridge", prior: Array | None = None) -> Regression:
-        """Least squares, ridge or LASSO on all samples so far, as in :mod:`pisplit.regression`."""
+    def solve(
+        self, alpha: float = 0.0, penalty: str = "ridge", prior: Array | None = None, solver: str = "auto"
+    ) -> Regression:
+        """Least squares, "ridge" or "lasso" on all samples so far, with the weight ``alpha`` of |K - prior|.
+
+        ``prior`` (S, M), default zero; ``solver`` of a LASSO as in :func:`pisplit.regression.lasso`.
+        """
+        check_penalty(penalty, solver, relative=False)
         if self.n_samples == 0:
             raise ValueError("there are no samples yet; call update first")
         a, y = self.rows
         weight = non_negative(alpha, "alpha")
-        return lasso(a, y, weight, prior) if penalty == "lasso" else ridge(a, y, weight, prior)
+        return lasso(a, y, weight, prior, solver=solver) if penalty == "lasso" else ridge(a, y, weight, prior)

@@ -67,7 +67,8 @@ class Balanced:
         scale = context.scale[learned]
         known, features = self._rows()
         push = context.dt * self.half @ self.ports
-        data = context.moments(pairs).rows(centred=False)
+        moments = context.moments(pairs)
+        data = moments.rows(centred=False)
         a, y = data[:, :size], data[:, size:]
         residual = (y - a @ known.T) / scale
         regressors, factor = a @ features.T, push / scale[:, None]
@@ -76,7 +77,7 @@ class Balanced:
         unit = float((regressors**2).mean(axis=1).sum() * (factor**2).mean(axis=1).sum())
 
         def solve(alpha: float) -> SplitFit:
-            weight = alpha * unit if context.relative else alpha
+            weight = context.weight(alpha, unit, moments.n_samples)
             fit = composed_ridge(factor, regressors, residual, weight)
             gains = fit.K / port_unit[:, None] / load_unit
             k = known + push @ gains @ features

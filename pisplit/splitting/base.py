@@ -19,7 +19,7 @@ from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.generator.generator import HalfStep, half_step
 from pisplit.generator.product_half_step import with_products
-from pisplit.regression import Regression, alpha_max, composed_ridge, lasso
+from pisplit.regression import Regression, absolute_weight, alpha_max, composed_ridge, lasso
 from pisplit.regression.moments import Moments, accumulate
 
 Array = NDArray[np.float64]
@@ -44,11 +44,16 @@ class SplitContext:
     toward: str
     half_step: str
     rows: Rows
-    relative: bool
+    relative: bool | str
     generator_alpha: float
     options: Mapping[str, Any] = field(default_factory=dict)
     equilibria: tuple[Array, Array] | None = None
     known: tuple[Pairs, Moments] | None = None
+    solver: str = "auto"
+
+    def weight(self, alpha: float, unit: float, n_samples: int) -> float:
+        """The weight of the penalty for ``alpha`` (:func:`pisplit.regression.absolute_weight`)."""
+        return absolute_weight(alpha, self.relative, unit, n_samples)
 
     def moments(self, pairs: Pairs) -> Moments:
         """Moments of [Theta(k) | learned columns of psi(k+1)] (:func:`pair_moments`)."""
@@ -212,11 +217,11 @@ def composed_solver(
     left_factor = factor if context.penalty == "lasso" else factor * size_of_rows
 
     def solve(alpha: float) -> SplitFit:
-        weight = alpha * unit if context.relative else alpha
+        weight = context.weight(alpha, unit, moments.n_samples)
         if weight == 0.0 or context.penalty != "lasso":
             fit: Regression = composed_ridge(left_factor, regressors, residual, weight)
         else:
-            fit = lasso(regressors, residual, weight)
+            fit = lasso(regressors, residual, weight, solver=context.solver)
         block = prior + size_of_rows[:, None] * fit.K
         k_h = fixed.copy()
         k_h[np.ix_(rows, columns)] = block

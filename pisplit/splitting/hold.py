@@ -20,13 +20,15 @@ from scipy.optimize import least_squares
 from pisplit.checks import finite_array
 from pisplit.data.episodes import Pairs
 from pisplit.generator.generator import generator_edmd
-from pisplit.regression import ridge
+from pisplit.regression import penalised, unit_weight
 from pisplit.splitting.base import Solver, SplitContext, SplitFit
 from pisplit.splitting.options import check_options, directions, generator_samples, ports
 
 Array = NDArray[np.float64]
 
 OPTIONS = ("tangent", "equilibrium", "ports", "loads")
+#: Grids of alpha="cv": from the data alone to the physical map alone.
+GRIDS = {"ridge": tuple(np.logspace(-8, 3, 12).tolist()), "lasso": (0.0, *np.logspace(-8, 0, 9).tolist())}
 
 
 class Hold:
@@ -42,17 +44,15 @@ class Hold:
         loads        (q, S) rows that select what h depends on, from the deviation; default: all of it. Without
                      ``equilibrium`` h depends on all columns, or on input columns only with rows="inputs".
 
-    ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|^2, toward the
-    physical map K_0: large alpha keeps K_0, alpha = 0 is EDMDc. It is a ridge whatever ``penalty`` says, and neither
-    ``toward`` nor ``half_step`` play a part.
+    ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|, toward the physical
+    map K_0: large alpha keeps K_0, alpha = 0 is EDMDc. ``penalty`` is ridge, |K - K_0|^2, or a LASSO, |K - K_0|_1: a
+    sparse departure from the physical map.
     """
-
-    #: Default grid of alpha="cv": from the data alone to the physical map alone.
-    alphas = tuple(np.logspace(-8, 3, 12).tolist())
 
     def __init__(self, context: SplitContext) -> None:
         theta = context.theta
         check_options(context, "hold", OPTIONS)
+        self.alphas = GRIDS[context.penalty]
         samples = generator_samples(context, "hold")
         self.context = context
         self.learned = theta.learned_columns
@@ -83,14 +83,14 @@ class Hold:
         a, y = rows[:, :size], rows[:, size:]
         prior = physical * context.scale / self.scale[:, None]
         residual = y - a @ prior.T
-        unit = float((a**2).sum() / size)
+        unit = unit_weight(a, residual, context.penalty)
         details = {"gains": gains.tolist(), "radius": float(np.abs(np.linalg.eigvals(self._transition(gains))).max())}
 
         def solve(alpha: float) -> SplitFit:
-            weight = alpha * unit if context.relative else alpha
-            fit = ridge(a, residual, weight)
+            weight = context.weight(alpha, unit, moments.n_samples)
+            fit = penalised(a, residual, weight, context.penalty, context.solver)
             k = (prior + fit.K) * self.scale[:, None] / context.scale
-            return SplitFit(K=k, alpha=weight, rank=fit.rank, details=details)
+            return SplitFit(K=k, alpha=weight, rank=fit.rank, gap=fit.gap, details=details)
 
         return solve
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pisplit.data.episodes import Pairs
-from pisplit.regression import alpha_max, lasso, ridge
+from pisplit.regression import penalised, unit_weight
 from pisplit.splitting.base import Solver, SplitContext, SplitFit, Splitting
 
 #: Grids of alpha="cv", relative: both ends are limits, the data alone (EDMDc) and the physical map alone.
@@ -27,7 +27,7 @@ class TwoStage:
 
     def __init__(self, context: SplitContext, splitting: Callable[[SplitContext], Splitting]) -> None:
         self.context = context
-        self.first = splitting(replace(context, penalty="ridge", toward="zero"))
+        self.first = splitting(replace(context, penalty="ridge", toward="zero", solver="auto"))
         self.alphas = GRIDS[context.penalty]
 
     def solver(self, pairs: Pairs) -> Solver:
@@ -36,16 +36,16 @@ class TwoStage:
         learned, size = context.theta.learned_columns, context.theta.n_columns
         physical = self.first.solver(pairs)(0.0)
         own = context.scale[learned]
-        rows = context.moments(pairs).scaled(np.concatenate([context.scale, own])).rows(centred=False)
+        moments = context.moments(pairs).scaled(np.concatenate([context.scale, own]))
+        rows = moments.rows(centred=False)
         a, y = rows[:, :size], rows[:, size:]
         prior = physical.K * context.scale / own[:, None]
         residual = y - a @ prior.T
-        unit = alpha_max(a, residual) if context.penalty == "lasso" else float((a**2).sum() / size)
+        unit = unit_weight(a, residual, context.penalty)
 
         def solve(alpha: float) -> SplitFit:
-            weight = alpha * unit if context.relative else alpha
-            shrink = lasso if context.penalty == "lasso" and weight > 0.0 else ridge
-            fit = shrink(a, residual, weight)
+            weight = context.weight(alpha, unit, moments.n_samples)
+            fit = penalised(a, residual, weight, context.penalty, context.solver)
             k = (prior + fit.K) * own[:, None] / context.scale
             return SplitFit(K=k, alpha=weight, rank=fit.rank, gap=fit.gap, details=physical.details)
 
