@@ -141,3 +141,12 @@ def test_blocks_of_another_run_are_refused_in_one_line(tmp_path: Path) -> None:
 def test_the_number_of_blocks_is_checked(tmp_path: Path, n: Any) -> None:
     with pytest.raises(ValueError, match="n_blocks"):
         run(counted(tmp_path / "log"), tmp_path / "parts", n=n)
+
+
+def test_a_relative_folder_is_that_of_the_caller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers stay alive between runs and stand where the first one began."""
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        run(counted(tmp_path / "log"), Path("parts"), 2, 2)
+        assert sorted(p.name for p in (tmp_path / name / "parts").glob("*.npz")) == ["000000.npz", "000001.npz"]

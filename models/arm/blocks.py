@@ -38,7 +38,7 @@ def run_blocks(
     ``joblib.parallel_config`` is used, so the same run can go to a cluster.
     """
     count(n_blocks, "n_blocks")
-    place = Path(folder)
+    place = Path(folder).resolve()  # a worker may stand in another folder
     place.mkdir(parents=True, exist_ok=True)
     _claim(place, identity)
     todo = [k for k in range(n_blocks) if not zipfile.is_zipfile(_file(place, k))]  # a truncated file is none

@@ -1,0 +1,115 @@
+"""Every block of Python in README and docs runs as printed, one after another, with smaller numbers where it is long.
+
+What a page takes for granted (an arm, data, a fitted model) is made here; names are those of the page.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+#: What stands before the first block of a page, and replacements of text that shorten its blocks.
+BEFORE = {
+    "docs/control.md": """
+import numpy as np
+from pisplit import Dictionary, LinearEDMDc, observables as ob
+from pisplit.controllers import MPC, references
+from pisplit.models.arm import TendonArm, make_episodes
+arm = TendonArm.paper(4)
+d1 = make_episodes(arm, "d1.h5", episodes=3, steps=60, workers=1, progress=False)
+theta = Dictionary(ob.Constant(), ob.Identity(), ob.Delays(inputs=1), n_states=d1.n_states, n_inputs=d1.n_inputs)
+model = LinearEDMDc(theta, alpha=1e-4).fit(d1)
+mpc = MPC(model.lifted, horizon=20, u_min=-0.014, u_max=0.016, du_max=0.002, track="tip")
+reference = references.circle(radius=0.02, period=4.0)
+sim = arm.scene.simulator(dt=0.03)
+state = sim.reset(arm.rest_inputs)
+def read_sensors():
+    return state
+def send_command(u):
+    global state
+    state = sim.step(u).state
+""",
+    "docs/identification.md": """
+import numpy as np
+from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc, observables as ob
+from pisplit.models import systems
+from pisplit.models.arm import TendonArm, make_episodes
+arm = TendonArm.paper(4)
+rng = np.random.default_rng(0)
+u_rest = arm.rest_inputs + 4e-3 * rng.standard_normal((8, 3))
+x_rest = arm.scene.statics().solve_many(u_rest).states[:, : arm.scene.n_strains]
+d1 = make_episodes(arm, "d1.h5", episodes=4, steps=40, workers=1, progress=False)
+pairs = d1.pairs(1).sample(16, 0)
+x1, x2, u1, u2 = np.zeros((5, 3)), np.ones((5, 3)), np.zeros((4, 1)), np.ones((4, 1))
+def made(seeds):
+    spring = systems.duffing()
+    draws = [np.random.default_rng(k) for k in seeds]
+    runs = [g.uniform(-1, 1, (110, 1)) for g in draws]
+    return Episodes.from_system(spring, np.array([g.uniform(-1, 1, 2) for g in draws]), runs, 0.05)
+""",
+    "docs/rod.md": """
+import numpy as np
+U = np.linspace([0.010, -0.005, -0.005], [0.004, 0.001, -0.002], 4)
+t, T, V = np.arange(4.0), np.ones(4), np.ones(4)
+""",
+    "README.md": "",
+}
+SHORTER = {
+    "README.md": {"episodes=10": "episodes=4", "samples=4000": "samples=400", "steps=400": "steps=20"},
+    "docs/control.md": {"steps=400": "steps=10"},
+    "docs/identification.md": {
+        "episodes=96": "episodes=4, steps=40, progress=False",
+        "in range(64)": "in range(4)",
+        "sizes=[16, 64, 256], seeds=range(5)": "sizes=[16, 64], seeds=range(2)",
+    },
+}
+#: What a page explains in words between two blocks, by a text of the later one.
+BETWEEN = {
+    "compare, learning_curve": """
+d1, test = made(range(4)), made(range(4, 6))
+theta = Dictionary(ob.Constant(), ob.Identity(), ob.Polynomials(3), n_states=2, n_inputs=1)
+d2 = PhaseSamples.from_system(systems.duffing(), rng.uniform(-1, 1, (200, 2)), np.zeros((200, 1)))
+edmdc, split = LinearEDMDc(theta, alpha=1e-6).fit(d1), PIEDMDc(theta, alpha=1e-6, penalty="ridge").fit(d1, d2)
+from dataclasses import replace
+d1, test = replace(d1, outputs={"tip": (0,)}), replace(test, outputs={"tip": (0,)})
+edmdc, split = edmdc.fit(d1), split.fit(d1, d2)
+""",
+}
+
+
+def blocks(page: str) -> list[str]:
+    """The blocks of Python of a page."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.S)
+
+
+def test_every_page_with_code_is_run() -> None:
+    pages = {p.relative_to(ROOT).as_posix() for p in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]}
+    assert {page for page in pages if blocks(page)} == set(BEFORE)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("page", BEFORE)
+def test_the_code_of_a_page_runs_as_printed(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "board").mkdir()
+    names: dict[str, Any] = {"__name__": "page"}
+    exec(BEFORE[page], names)
+    for code in blocks(page):
+        for text in BETWEEN:
+            if text in code:
+                exec(BETWEEN[text], names)
+        for long, short in SHORTER.get(page, {}).items():
+            code = code.replace(long, short)
+        exec(compile(code, page, "exec", dont_inherit=True), names)
+    assert page != "README.md" or names["log"].u.shape == (20, 3)
+
+
+@pytest.mark.parametrize("page", SHORTER)
+def test_what_is_shortened_stands_on_the_page(page: str) -> None:
+    for text in SHORTER[page]:
+        assert text in (ROOT / page).read_text()
