@@ -3,7 +3,9 @@
 Everything a model learns from comes through here and is checked here; files are HDF5, written whole or not at all.
 """
 
-from pisplit.data.episodes import Episodes, Pairs, SimulatedSystem, Start, excited_directions
+from pisplit.data.columns import column_order, unit_factors
+from pisplit.data.episodes import Episodes, SimulatedSystem, Start
+from pisplit.data.pairs import Pairs, excited_directions
 from pisplit.data.phase import KnownSystem, PhaseSamples
 from pisplit.data.units import columns_to_si, to_si
 
@@ -14,7 +16,9 @@ __all__ = [
     "PhaseSamples",
     "SimulatedSystem",
     "Start",
+    "column_order",
     "columns_to_si",
     "excited_directions",
     "to_si",
+    "unit_factors",
 ]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import h5py
@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import count, finite_array, positive
 from pisplit.data import store
+from pisplit.data.columns import column_order, default_names, labels, regrouped, unit_factors
+from pisplit.data.pairs import Pairs, excited_directions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 KIND = "pisplit/episodes"
-EXCITED = 1e-6
+LABELS = ("state_names", "input_names", "quantities", "units", "input_units")
 
 
 class SimulatedSystem(Protocol):
@@ -46,76 +48,13 @@ class Start:
     states: Array
 
 
-@dataclass(frozen=True)
-class Pairs:
-    """N snapshot pairs with their history; arrays are gathered when asked for, so that only indices are stored.
-
-    states (R, n) and inputs (R', m) are all rows of all episodes; ``row`` and ``input_row`` (N,) point at x_k and u_k.
-    ``episode`` and ``index`` (N,) say which episode a pair is from, and its step k there.
-    """
-
-    states: Array
-    inputs: Array
-    row: Index
-    input_row: Index
-    episode: Index
-    index: Index
-    n_delays: int
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-    @property
-    def x(self) -> Array:
-        """x_k (N, n)."""
-        return self.states[self.row]
-
-    @property
-    def x_next(self) -> Array:
-        """x_{k+1} (N, n)."""
-        return self.states[self.row + 1]
-
-    @property
-    def u(self) -> Array:
-        """u_k (N, m)."""
-        return self.inputs[self.input_row]
-
-    @property
-    def x_history(self) -> Array:
-        """x_{k-D}..x_k (N, D+1, n), oldest first."""
-        return self.states[self.row[:, None] + np.arange(-self.n_delays, 1)]
-
-    @property
-    def u_history(self) -> Array:
-        """u_{k-D}..u_{k-1} (N, D, m), oldest first."""
-        return self.inputs[self.input_row[:, None] + np.arange(-self.n_delays, 0)]
-
-    def take(self, which: ArrayLike) -> Pairs:
-        """The pairs at integer positions, in a slice-like index array or under a boolean mask."""
-        chosen = np.arange(len(self))[np.asarray(which)]
-        arrays = (self.row[chosen], self.input_row[chosen], self.episode[chosen], self.index[chosen])
-        return Pairs(self.states, self.inputs, *arrays, n_delays=self.n_delays)
-
-    def sample(self, n: int, seed: int) -> Pairs:
-        """``n`` pairs drawn without replacement. Raises ValueError if there are fewer."""
-        size = count(n, "n")
-        if size > len(self):
-            raise ValueError(f"n = {size} pairs asked for; the episodes hold {len(self)}")
-        return self.take(np.sort(np.random.default_rng(seed).choice(len(self), size, replace=False)))
-
-    def blocks(self, size: int = 4096) -> Iterator[Pairs]:
-        """The pairs in order, at most ``size`` at a time."""
-        for first in range(0, len(self), size):
-            yield self.take(np.arange(first, min(first + size, len(self))))
-
-
 @dataclass(frozen=True, eq=False)
 class Episodes:
     """Trajectories x (T_i + 1, n) under inputs u (T_i, m), sampled every ``dt`` seconds.
 
     ``quantities`` (n,) names the physical quantity of each state ("p", "R", "q", ...): states of one quantity share one
-    scale in regressions (default: each state is its own). ``units`` (n,) are texts. ``outputs`` names groups of states,
-    ``extra`` holds per-episode arrays that are saved along (for instance the full simulator state), ``provenance`` is
+    scale in regressions (default: each state is its own). ``units`` (n,) of the states and ``input_units`` (m,) are
+    texts. ``outputs`` names groups of states, ``extra`` holds per-episode arrays that are saved along (for instance the full simulator state), ``provenance`` is
     JSON-able (seed, scene, version).
 
     Raises ValueError for empty lists, episodes of one row, shapes that do not fit and entries that are not finite.
@@ -131,6 +70,7 @@ class Episodes:
     outputs: Mapping[str, Sequence[int]] | None = None
     extra: Mapping[str, Sequence[Array]] | None = None
     provenance: Mapping[str, Any] | None = None
+    input_units: Sequence[str] | None = None
     _stacked: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -152,12 +92,11 @@ class Episodes:
         put(self, "xs", xs)
         put(self, "us", us)
         put(self, "dt", positive(self.dt, "dt", "s"))
-        put(self, "state_names", _names(self.state_names, "state_names", self.n_states, "x"))
-        put(self, "input_names", _names(self.input_names, "input_names", self.n_inputs, "u"))
-        labels = self.state_names if self.quantities is None else self.quantities
-        put(self, "quantities", _names(labels, "quantities", self.n_states, "", unique=False))
-        units = [""] * self.n_states if self.units is None else self.units
-        put(self, "units", _names(units, "units", self.n_states, "", unique=False))
+        put(self, "state_names", labels(self.state_names, "state_names", default_names("states", self.n_states)))
+        put(self, "input_names", labels(self.input_names, "input_names", default_names("inputs", self.n_inputs)))
+        put(self, "quantities", labels(self.quantities, "quantities", self.state_names or (), unique=False))
+        put(self, "units", labels(self.units, "units", [""] * self.n_states, unique=False))
+        put(self, "input_units", labels(self.input_units, "input_units", [""] * self.n_inputs, unique=False))
         put(self, "outputs", _output_groups(self.outputs or {}, self.n_states))
         put(self, "extra", {name: tuple(np.asarray(a) for a in arrays) for name, arrays in (self.extra or {}).items()})
         for name, arrays in self.extra.items():  # type: ignore[union-attr]
@@ -201,6 +140,63 @@ class Episodes:
             outputs=self.outputs,
             extra={name: [arrays[i] for i in chosen] for name, arrays in (self.extra or {}).items()},
             provenance=self.provenance,
+            input_units=self.input_units,
+        )
+
+    def arranged(
+        self,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        input_units: Sequence[str] | None = None,
+        owner: str = "the model",
+    ) -> Episodes:
+        """The same trajectories with the columns, in the order and units, that a model (or a plant) names.
+
+        state_names, input_names  (n,) and (m,) names that are wanted; None takes the columns as they are. A permutation
+                                  is reordered, with quantities, units and output groups; if either side has no names
+                                  (x1, x2, ..., u1, u2, ...) columns are matched by position
+        units, input_units        (n,) and (m,) units that are wanted, in the wanted order; known ones are converted
+        owner                     who wants them, for messages
+
+        Returns the same object where nothing changes. Raises ValueError, in one line, if sizes, names or units do not
+        fit.
+        """
+        states = column_order(self.state_names, state_names, "states", "the data", owner)
+        inputs = column_order(self.input_names, input_names, "inputs", "the data", owner)
+        ordered = self._reordered(states, inputs)
+        factors = unit_factors(ordered.units, units, ordered.state_names or (), "the data", owner)
+        scales = unit_factors(ordered.input_units, input_units, ordered.input_names or (), "the data", owner)
+        if (factors == 1.0).all() and (scales == 1.0).all():
+            return ordered
+        return replace(
+            ordered,
+            xs=[x * factors for x in ordered.xs],
+            us=[u * scales for u in ordered.us],
+            units=[new if f != 1.0 else old for f, new, old in zip(factors, units or (), ordered.units or ())],
+            input_units=[
+                new if f != 1.0 else old for f, new, old in zip(scales, input_units or (), ordered.input_units or ())
+            ],
+        )
+
+    def _reordered(self, states: Index, inputs: Index) -> Episodes:
+        """The columns at positions ``states`` (n,) and ``inputs`` (m,), all of them, with all that belongs to them."""
+        if (np.diff(states) == 1).all() and (np.diff(inputs) == 1).all():
+            return self
+        at = {
+            "state_names": states,
+            "quantities": states,
+            "units": states,
+            "input_names": inputs,
+            "input_units": inputs,
+        }
+        named: dict[str, Any] = {name: [getattr(self, name)[i] for i in order] for name, order in at.items()}
+        return replace(
+            self,
+            xs=[x[:, states] for x in self.xs],
+            us=[u[:, inputs] for u in self.us],
+            outputs=regrouped(self.outputs or {}, states),
+            **named,
         )
 
     def pairs(self, n_delays: int = 0) -> Pairs:
@@ -261,7 +257,7 @@ class Episodes:
             for name, arrays in (self.extra or {}).items():
                 _write_ragged(file.require_group("extra"), name, arrays)
             file.attrs["dt"] = self.dt
-            for name in ("state_names", "input_names", "quantities", "units"):
+            for name in LABELS:
                 store.write_strings(file, name, getattr(self, name))
             store.write_json(file, "outputs", dict(self.outputs or {}))
             store.write_json(file, "provenance", self.provenance)
@@ -271,7 +267,6 @@ class Episodes:
         """Read saved episodes. Raises one line for files that are missing, truncated or of another kind."""
         with store.reading(path, KIND) as file:
             extra = {name: _read_ragged(file["extra"], name) for name in file["extra"]} if "extra" in file else {}
-            names = ("state_names", "input_names", "quantities", "units")
             return cls(
                 xs=_read_ragged(file, "x"),
                 us=_read_ragged(file, "u"),
@@ -279,7 +274,7 @@ class Episodes:
                 outputs=store.read_json(file, "outputs"),
                 extra=extra,
                 provenance=store.read_json(file, "provenance"),
-                **{name: store.read_strings(file, name) for name in names},
+                **{name: store.read_strings(file, name) for name in LABELS if name in file},
             )
 
     @classmethod
@@ -304,6 +299,7 @@ class Episodes:
             "state_names": system.state_names,
             "input_names": system.input_names,
             "units": system.state_units,
+            "input_units": getattr(system, "input_units", None),
             "provenance": {"method": method, "substeps": substeps},
         }
         return cls(xs, us, dt, **{**named, **options})
@@ -339,18 +335,6 @@ class Episodes:
         return recordings.from_mat(path, time, states, inputs, **options)
 
 
-def excited_directions(inputs: Array) -> tuple[Array, Array]:
-    """Mean (m,) of inputs (N, m) and an orthonormal basis (m, r) of the directions in which they vary.
-
-    A direction counts if its singular value exceeds 1e-6 of the largest.
-    """
-    offset = inputs.mean(axis=0)
-    _, values, directions = np.linalg.svd(inputs - offset, full_matrices=False)
-    rounding = np.finfo(float).eps * float(np.abs(inputs).max(initial=0.0)) * len(inputs)
-    excited = values > max(EXCITED * float(values.max(initial=0.0)), rounding)
-    return offset, directions[excited].T.copy()
-
-
 def _write_ragged(group: h5py.Group, name: str, arrays: Sequence[Array]) -> None:
     part = group.create_group(name)
     part["lengths"] = np.array([len(a) for a in arrays], dtype=np.int64)
@@ -360,15 +344,6 @@ def _write_ragged(group: h5py.Group, name: str, arrays: Sequence[Array]) -> None
 def _read_ragged(group: h5py.Group, name: str) -> list[Array]:
     lengths = group[name]["lengths"][()]
     return np.split(group[name]["values"][()], np.cumsum(lengths)[:-1])
-
-
-def _names(given: Sequence[str] | None, what: str, size: int, letter: str, unique: bool = True) -> tuple[str, ...]:
-    names = tuple(f"{letter}{i + 1}" for i in range(size)) if given is None else tuple(str(name) for name in given)
-    if len(names) != size:
-        raise ValueError(f"{what} has {len(names)} entries; expected {size}")
-    if unique and len(set(names)) != size:
-        raise ValueError(f"{what} repeats a name: {sorted(name for name in set(names) if names.count(name) > 1)}")
-    return names
 
 
 def _output_groups(outputs: Mapping[str, Sequence[int]], n_states: int) -> dict[str, tuple[int, ...]]:

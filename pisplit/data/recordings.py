@@ -57,7 +57,8 @@ def from_arrays(
     states, inputs = _rows(x, "x", len(times)), _rows(u, "u", len(times))
     units, factors = columns_to_si(state_units, "state_units", states.shape[1])
     states = states * factors
-    inputs = inputs * columns_to_si(input_units, "input_units", inputs.shape[1])[1]
+    commanded, scales = columns_to_si(input_units, "input_units", inputs.shape[1])
+    inputs = inputs * scales
     whole = np.isfinite(states).all(axis=1) & np.isfinite(inputs).all(axis=1) & np.isfinite(times)
     times, states, inputs = times[whole], states[whole], inputs[whole]
     if len(times) < 2:
@@ -95,7 +96,7 @@ def from_arrays(
         "interpolation": interpolation,
     }
     provenance = {**origin, **(labels.get("provenance") or {})}
-    return Episodes(xs, us, step, **{"units": units, **labels, "provenance": provenance})
+    return Episodes(xs, us, step, **{"units": units, "input_units": commanded, **labels, "provenance": provenance})
 
 
 def from_csv(

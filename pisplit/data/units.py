@@ -40,6 +40,15 @@ def to_si(unit: str, what: str) -> tuple[str, float]:
     return "/".join(UNITS[part][0] for part in parts), factor
 
 
+def conversion(given: str, wanted: str) -> float | None:
+    """Factor that turns a number in unit ``given`` into one in unit ``wanted``; None if they have no common SI unit."""
+    try:
+        (mine, factor), (theirs, other) = to_si(given, ""), to_si(wanted, "")
+    except ValueError:
+        return 1.0 if given == wanted else None
+    return factor / other if mine == theirs else None
+
+
 def columns_to_si(
     units: str | Sequence[str] | None, what: str, size: int
 ) -> tuple[tuple[str, ...], NDArray[np.float64]]:
