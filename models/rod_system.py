@@ -6,7 +6,7 @@ import casadi as ca
 
 from pisplit.models import rod
 from pisplit.models.control_system import ControlSystem
-from pisplit.models.rod.analysis.coordinates import RodCoordinates
+from pisplit.models.rod.analysis.coordinates import StrainCoordinates
 
 
 def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem:
@@ -14,8 +14,8 @@ def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem
 
     f = (xi_t, acceleration without the terms of type ``actuation``) and h = (0, what they add to it); both solve the
     mass matrix exactly. Inputs of other terms (a base that moves, a wrench) belong to f. ``simulate`` needs
-    ``method="idas"``: damped rods are stiff (rates up to 1e8 1/s). Inputs are held over a step, as with
-    ``scene.simulator(dt, hold="zero")``.
+    ``method="idas"``: damped rods are stiff (rates up to 1e8 1/s). Inputs jump at the start of a step and stay, as with
+    ``scene.simulator(dt, inputs="step")``.
 
     Raises ValueError if the scene has no such term.
     """
@@ -25,7 +25,7 @@ def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem
     x, u = ca.MX.sym("x", 2 * n), ca.MX.sym("u", scene.n_inputs)
     remaining = [scene.input_names.index(name) for name in passive.input_names]
     free = passive.acceleration(x[:n], x[n:], u[remaining] if remaining else ca.MX(0, 1))
-    names = RodCoordinates(scene, ()).names
+    names = StrainCoordinates(scene, ()).names
     bends = [name.startswith("w") for name in names[:n]]
     return ControlSystem(
         x,

@@ -26,7 +26,7 @@ _ROOMS = {
     "pisplit.models.rod.section": "material body",
     "pisplit.models.rod.terms": "base buoyancy chambers damping distributed drag gravity loads points routing tendons "
     "wrench",
-    "pisplit.models.rod.equations": "balance variational residuals tangent linear held",
+    "pisplit.models.rod.equations": "balance variational residuals tangent linear held:prestressed",
     "pisplit.models.rod.statics": "continuation boundary inverse",
     "pisplit.models.rod.dynamics": "stepper trajectory",
     "pisplit.models.rod.analysis": "coordinates energy modes fields cost",

@@ -14,7 +14,7 @@ from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.recording import deviations_from_equilibrium, make_episodes, make_phase_samples
 from pisplit.models.arm.static_table import equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.rod.equations.held import held_acceleration
+from pisplit.models.rod.equations.prestressed import prestressed_acceleration
 
 STATIONS = 3
 
@@ -45,22 +45,22 @@ def d2(physics: ArmPhysics, episodes: Episodes, tmp_path_factory: pytest.TempPat
 
 
 def by_differences(physics: ArmPhysics, move: np.ndarray) -> np.ndarray:
-    """d[xi_t, xi_tt]/d[xi, xi_t] (2n, 2n) of the held backbone at the equilibrium under a move."""
+    """d[xi_t, xi_tt]/d[xi, xi_t] (2n, 2n) of the prestressed backbone at the equilibrium under a move."""
     arm = physics.arm
     scene, n = arm.scene, arm.scene.n_strains
-    held = held_acceleration(arm.passive)
+    prestressed = prestressed_acceleration(arm.passive)
     xi = scene.statics().solve(physics.table.displacements(move)).state[:n]
     columns = []
     for k in range(2 * n):
         step = np.zeros(2 * n)
         step[k] = 1e-5 * np.tile(scene.nominal_strains, 2)[k]
-        ends = [np.asarray(held(xi + s * step[:n], s * step[n:], xi)).ravel() for s in (1.0, -1.0)]
+        ends = [np.asarray(prestressed(xi + s * step[:n], s * step[n:], xi)).ravel() for s in (1.0, -1.0)]
         columns.append((ends[0] - ends[1]) / (2 * step[k]))
     top = np.hstack([np.zeros((n, n)), np.eye(n)])
     return np.vstack([top, np.array(columns).T])
 
 
-def test_tangent_samples_give_the_linearisation_of_the_held_backbone(
+def test_tangent_samples_give_the_linearisation_of_the_prestressed_backbone(
     physics: ArmPhysics, options: dict[str, Any]
 ) -> None:
     theta = physics.dictionary()
@@ -73,17 +73,17 @@ def test_tangent_samples_give_the_linearisation_of_the_held_backbone(
     assert found.real.max() < 0.0
 
 
-def test_an_arm_that_is_held_rests(physics: ArmPhysics) -> None:
-    held, n = held_acceleration(physics.arm.passive), physics.arm.scene.n_strains
+def test_an_arm_under_its_prestress_rests(physics: ArmPhysics) -> None:
+    prestressed, n = prestressed_acceleration(physics.arm.passive), physics.arm.scene.n_strains
     xi = np.random.default_rng(0).normal(size=n)
-    assert np.abs(np.asarray(held(xi, np.zeros(n), xi))).max() < 1e-6
+    assert np.abs(np.asarray(prestressed(xi, np.zeros(n), xi))).max() < 1e-6
     with pytest.raises(ValueError, match="no inputs") as error:
-        held_acceleration(physics.arm.scene)
+        prestressed_acceleration(physics.arm.scene)
     assert "\n" not in str(error.value)
 
 
 def test_tendons_act_through_the_ports_and_feel_the_loads(physics: ArmPhysics, options: dict[str, Any]) -> None:
-    """The exact linearisation of the arm is that of the held backbone plus ports G loads with four numbers G."""
+    """The exact linearisation of the arm is that of the prestressed backbone plus ports G loads with four numbers G."""
     arm = physics.arm
     rest = arm.scene.statics().solve(arm.rest_inputs).state
     difference = arm.scene.linearise(rest).A - by_differences(physics, np.zeros(2))

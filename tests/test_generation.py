@@ -26,7 +26,7 @@ from pisplit.models.arm.recording import (
     strain_rates,
 )
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.rod.equations.held import held_acceleration
+from pisplit.models.rod.equations.prestressed import prestressed_acceleration
 
 STATIONS, STEPS, DT = 3, 24, 0.03
 SMALL = {"stations": STATIONS, "seed": 1, "workers": 1, "progress": False}
@@ -178,8 +178,8 @@ def test_shapes_without_deviations_are_equilibria(
     strains = free_states(arm, d2)[:, :n]
     residual = statics.residual_function.map(40)(strains.T / arm.scene.nominal_strains[:, None], d2.u.T)
     assert np.abs(np.asarray(residual)).max() < 1e-6
-    held = held_acceleration(arm.passive)
-    assert np.abs(np.asarray(held(strains[0], np.zeros(n), strains[0]))).max() < 1e-6
+    prestressed = prestressed_acceleration(arm.passive)
+    assert np.abs(np.asarray(prestressed(strains[0], np.zeros(n), strains[0]))).max() < 1e-6
     np.testing.assert_allclose(d2.u.sum(axis=1), 3 * arm.pretension, rtol=1e-9)
 
 

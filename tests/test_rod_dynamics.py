@@ -1,4 +1,4 @@
-"""Dynamics: order of the time integration, static limit, holds, restarts, stepping, and what a failure looks like."""
+"""Dynamics: order of the time integration, static limit, ramps, restarts, stepping, and what a failure looks like."""
 
 import casadi as ca
 import numpy as np
@@ -138,16 +138,16 @@ def test_a_jump_of_an_input_starts_three_times_as_fast_as_its_ramp() -> None:
     )
     n = scene.n_strains
     bend = [
-        scene.simulator(1e-5, rtol=1e-9, hold=hold).run([[1e3, 0.0, 0.0]], np.zeros(scene.n_states)).x[-1][:n]
-        for hold in ("zero", "first")
+        scene.simulator(1e-5, rtol=1e-9, inputs=inputs).run([[1e3, 0.0, 0.0]], np.zeros(scene.n_states)).x[-1][:n]
+        for inputs in ("step", "ramp")
     ]
     assert bend[0] == pytest.approx(3.0 * bend[1], rel=2e-2)
 
 
-def test_zero_order_hold_reaches_the_same_rest() -> None:
+def test_inputs_that_jump_reach_the_same_rest() -> None:
     scene = ARM.scene.replace(rod.KelvinVoigt(bending=2e-2, torsion=2e-2)) + rod.LinearDrag(0.1)
     u = np.tile([0.005, -0.002, -0.001], (10, 1))
-    trajectory = scene.simulator(5.0, rtol=1e-6, hold="zero").run(u, scene.statics().solve([1e-3] * 3).state)
+    trajectory = scene.simulator(5.0, rtol=1e-6, inputs="step").run(u, scene.statics().solve([1e-3] * 3).state)
     assert trajectory.success
     assert np.abs(tips(trajectory.x[-1:], scene)[0] - scene.statics().solve(u[0]).tip).max() <= 1e-5 * LENGTH
 

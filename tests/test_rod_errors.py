@@ -135,7 +135,7 @@ def test_pose_off_the_rod() -> None:
 def test_settings_of_the_simulator() -> None:
     refused(lambda: ARM.simulator(0.0), "dt", "0")
     refused(lambda: ARM.simulator(0.03, rtol=1.0), "rtol", "1")
-    refused(lambda: ARM.simulator(0.03, hold="second"), "second", "first")
+    refused(lambda: ARM.simulator(0.03, inputs="first"), "first", "ramp", "step")
     with pytest.raises(TypeError, match="order"):
         ARM.simulator(0.03, order=4)
 

@@ -1,4 +1,4 @@
-"""Statics beyond one solve: sweeps, Jacobians, compliance, stability, inverse statics, held tips, hard cold starts."""
+"""Statics beyond one solve: sweeps, Jacobians, compliance, stability, inverse statics, fixed tips, hard cold starts."""
 
 import numpy as np
 import pytest
@@ -123,40 +123,40 @@ def test_inverse_statics_keeps_its_limits_and_says_when_a_place_is_out_of_reach(
         rod.Scene(BODY).statics().inverse([0.0, 0.0, 0.4])
 
 
-def test_a_held_tip_needs_the_wrench_that_would_bring_it_there() -> None:
+def test_a_fixed_tip_needs_the_wrench_that_would_bring_it_there() -> None:
     force, moment = np.array([0.3, 0.4, -0.2]), np.array([0.02, -0.01, 0.015])
     scene = rod.Scene(BODY, rod.Gravity((-9.81, 0.0, 0.0)), nodes=6)
     loaded = (scene + rod.TipWrench(tuple(force), tuple(moment))).statics().solve()
     p, turn = loaded.pose(BODY.length)
-    held = scene.statics().hold_tip(p, turn)
-    assert held.success and held.residual <= 1e-8
-    assert held.force == pytest.approx(force, rel=1e-6, abs=1e-8)
-    assert held.moment == pytest.approx(moment, rel=1e-6, abs=1e-8)
-    pinned = scene.statics().hold_tip(p)
+    clamped = scene.statics().clamp_tip(p, turn)
+    assert clamped.success and clamped.residual <= 1e-8
+    assert clamped.force == pytest.approx(force, rel=1e-6, abs=1e-8)
+    assert clamped.moment == pytest.approx(moment, rel=1e-6, abs=1e-8)
+    pinned = scene.statics().pin_tip(p)
     assert pinned.success and not pinned.moment.any()
     assert scene.fields(pinned.state, [BODY.length])[0, :3] == pytest.approx(p, abs=1e-8)
 
 
-def test_a_rod_held_at_both_ends_carries_a_side_load_as_in_the_book() -> None:
+def test_a_rod_clamped_at_both_ends_carries_a_side_load_as_in_the_book() -> None:
     """Small tip deflection d of a rod whose tip keeps its direction: 12 EI d / L^3 and 6 EI d / L^2."""
     d = 1e-5
     stretching = rod.Rod(BODY.length, BODY.section, BODY.material, "planar-cosserat")
-    held = rod.Scene(stretching, nodes=6).statics().hold_tip((d, 0.0, BODY.length), np.eye(3))
-    assert held.success
-    assert held.force[0] == pytest.approx(12.0 * EI * d / BODY.length**3, rel=1e-3)
-    assert held.moment[1] == pytest.approx(-6.0 * EI * d / BODY.length**2, rel=1e-3)
+    clamped = rod.Scene(stretching, nodes=6).statics().clamp_tip((d, 0.0, BODY.length), np.eye(3))
+    assert clamped.success
+    assert clamped.force[0] == pytest.approx(12.0 * EI * d / BODY.length**3, rel=1e-3)
+    assert clamped.moment[1] == pytest.approx(-6.0 * EI * d / BODY.length**2, rel=1e-3)
 
 
 def test_a_straight_rod_is_pushed_together() -> None:
     """The pinned tip of a straight inextensible rod moves towards the clamp: it buckles and pushes back."""
     for scene in (planar(), rod.Scene(BODY, nodes=6)):
-        held = scene.statics().hold_tip((0.0, 0.0, 0.9 * BODY.length))
-        assert held.success
-        assert held.force[2] < -0.5 * np.pi**2 * EI / BODY.length**2
+        pinned = scene.statics().pin_tip((0.0, 0.0, 0.9 * BODY.length))
+        assert pinned.success
+        assert pinned.force[2] < -0.5 * np.pi**2 * EI / BODY.length**2
 
 
 def test_a_place_beyond_the_length_is_flagged() -> None:
-    held = rod.Scene(BODY, nodes=5).statics().hold_tip((0.0, 0.3, 0.4))
-    assert not held.success and "of the way" in held.message and np.isfinite(held.state).all()
+    pinned = rod.Scene(BODY, nodes=5).statics().pin_tip((0.0, 0.3, 0.4))
+    assert not pinned.success and "of the way" in pinned.message and np.isfinite(pinned.state).all()
     with pytest.raises(ValueError, match="not a rotation"):
-        rod.Scene(BODY, nodes=5).statics().hold_tip((0.0, 0.1, 0.3), np.ones((3, 3)))
+        rod.Scene(BODY, nodes=5).statics().clamp_tip((0.0, 0.1, 0.3), np.ones((3, 3)))

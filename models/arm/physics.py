@@ -13,7 +13,7 @@ from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.models.arm.static_table import EquilibriumTable
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.rod.equations.held import held_acceleration
+from pisplit.models.rod.equations.prestressed import prestressed_acceleration
 
 #: Size of the steps about the rest shape, in parts of 1/L and of the first bending frequency.
 TANGENT_STEP = 1e-6
@@ -87,7 +87,7 @@ class ArmPhysics:
         states = np.tile(rest, (count, 1))
         states[:, : 2 * n] += steps * np.concatenate([nominal, nominal * scene.rod.bending_rate])
         x = ca.MX.sym("x", scene.n_states)
-        acceleration = held_acceleration(passive)(x[:n], x[n : 2 * n], ca.DM(rest[:n]))
+        acceleration = prestressed_acceleration(passive)(x[:n], x[n : 2 * n], ca.DM(rest[:n]))
         motion = ca.vertcat(x[n : 2 * n], acceleration, ca.MX.zeros(scene.n_inputs))
         fields = scene.field_map(self.stations).function(x)
         function = ca.Function("tangent", [x], [fields, ca.jtimes(fields, x, motion)])

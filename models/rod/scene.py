@@ -23,11 +23,11 @@ from pisplit.models.rod.terms.tendons import Displacement, Tendons
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pisplit.models.rod.analysis.coordinates import RodCoordinates
+    from pisplit.models.rod.analysis.coordinates import StrainCoordinates
     from pisplit.models.rod.analysis.cost import Cost
     from pisplit.models.rod.analysis.energy import Energies
     from pisplit.models.rod.analysis.fields import Fields
-    from pisplit.models.rod.analysis.modes import Modes
+    from pisplit.models.rod.analysis.modes import NaturalModes
     from pisplit.models.rod.dynamics.integrator import Simulator
     from pisplit.models.rod.dynamics.stepper import Stepper
     from pisplit.models.rod.equations.linear import Linearisation
@@ -354,21 +354,21 @@ class Scene:
 
         return linearise(self, state)
 
-    def modes(self, state: ArrayLike, number: int | None = None) -> Modes:
-        """Natural frequencies, damping and shapes of the slowest modes about an equilibrium state: see ``Modes``."""
-        from pisplit.models.rod.analysis.modes import modes
+    def modes(self, state: ArrayLike, number: int | None = None) -> NaturalModes:
+        """Frequencies, damping and shapes of the slowest modes about an equilibrium: see ``NaturalModes``."""
+        from pisplit.models.rod.analysis.modes import natural_modes
 
-        return modes(self, state, number)
+        return natural_modes(self, state, number)
 
     def fields(self, x: ArrayLike, stations: int | ArrayLike = 6) -> Array:
         """The 24 fields (p, R, v, w, q, omega) of states ``x`` (..., n_states) at S stations, (..., S, 24)."""
         return self.field_map(stations).evaluate(x)
 
-    def coordinates(self, stations: int | ArrayLike = 6) -> RodCoordinates:
-        """The map from fields at stations to strains and their rates: see ``RodCoordinates``."""
-        from pisplit.models.rod.analysis.coordinates import rod_coordinates
+    def coordinates(self, stations: int | ArrayLike = 6) -> StrainCoordinates:
+        """The map from fields at stations to strains and their rates: see ``StrainCoordinates``."""
+        from pisplit.models.rod.analysis.coordinates import strain_coordinates
 
-        return rod_coordinates(self, stations)
+        return strain_coordinates(self, stations)
 
     def field_map(self, stations: int | ArrayLike = 6) -> Fields:
         """The map from states to fields at stations, kept for reuse."""

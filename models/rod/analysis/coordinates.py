@@ -23,7 +23,7 @@ _ROTATION, _STRAIN_V, _STRAIN_W, _SPIN = slice(3, 12), slice(12, 15), slice(15, 
 
 
 @dataclass(frozen=True)
-class RodCoordinates:
+class StrainCoordinates:
     """Free strains and their rates [xi, xi_t] (2n,) of a bending and twisting rod from its fields at stations (24 S,).
 
     Strains are the least-squares polynomial through w at the stations. Rates follow from the world angular velocity
@@ -72,10 +72,10 @@ class RodCoordinates:
             spins.append(frame @ stations[_SPIN, k])
         g = spin_map(strains)
         rates = ca.solve(g.T @ g, g.T @ ca.vertcat(*spins), "qr", {"eps": 1e-30})
-        return ca.Function("rod_coordinates", [y], [ca.vertcat(strains, rates)], ["fields"], ["coordinates"])
+        return ca.Function("strain_coordinates", [y], [ca.vertcat(strains, rates)], ["fields"], ["coordinates"])
 
 
-def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinates:
+def strain_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> StrainCoordinates:
     """Coordinates of a scene from its fields at stations.
 
     Raises ValueError for free shear or stretch, a base that turns, and for fewer stations than nodes.
@@ -94,4 +94,4 @@ def rod_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> RodCoordinat
         raise ValueError(
             f"stations {points} leave an element of the rod with fewer stations than nodes {scene.element_nodes}"
         )
-    return RodCoordinates(scene, points)
+    return StrainCoordinates(scene, points)

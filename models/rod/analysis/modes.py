@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Modes:
-    """Modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.
+class NaturalModes:
+    """Natural modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.
 
     Attributes:
         frequency: (M,) |lambda| / 2 pi in Hz.
@@ -41,7 +41,7 @@ class Modes:
         return (self.strains @ slope.T).reshape(len(self.strains), len(points), 3)
 
 
-def modes(scene: Scene, state: ArrayLike, number: int | None = None) -> Modes:
+def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> NaturalModes:
     """The slowest ``number`` modes (all when not given) about an equilibrium [xi, 0, u]."""
     x = finite_array(state, "state", (scene.n_states,))
     n = scene.n_strains
@@ -56,7 +56,7 @@ def modes(scene: Scene, state: ArrayLike, number: int | None = None) -> Modes:
     strains = strains / np.where(moving, largest, strongest)[:, None]
     size = np.abs(values)
     damping = np.divide(-values.real, size, out=np.zeros(len(size)), where=size > 0.0)
-    return Modes(size / (2.0 * np.pi), damping, values, strains, x, scene)
+    return NaturalModes(size / (2.0 * np.pi), damping, values, strains, x, scene)
 
 
 def _position_slope(scene: Scene, points: tuple[float, ...], state: Array) -> Array:

@@ -40,7 +40,7 @@ class Simulator(Propagation):
         scene: what moves.
         dt: control interval in s.
         rtol: relative tolerance of IDAS; absolute tolerances are ``rtol`` times the nominal size of each state.
-        hold: ``"first"``: inputs move linearly to the command over the step, as a servo does; ``"zero"``: they jump at
+        inputs: ``"ramp"``: inputs move linearly to the command over the step, as a servo does; ``"step"``: they jump at
             its start (2 to 10 times as many integrator steps).
         stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
         balance: ``"auto"``, ``"direct"`` or ``"variational"`` equations: see ``equations_of_motion``.
@@ -58,7 +58,7 @@ class Simulator(Propagation):
         scene: Scene,
         dt: float,
         rtol: float = 1e-4,
-        hold: str = "first",
+        inputs: str = "ramp",
         stations: int | ArrayLike = 6,
         balance: str = "auto",
     ) -> None:
@@ -66,7 +66,7 @@ class Simulator(Propagation):
         self.rtol = positive(rtol, "Simulator rtol")
         if not 1e-12 <= self.rtol <= 0.1:
             raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
-        self.hold = one_of(hold, "Simulator hold", ("first", "zero"))
+        self.inputs = one_of(inputs, "Simulator inputs", ("ramp", "step"))
         self._integrators: dict[tuple[int, bool, bool], ca.Function] = {}
 
     def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
@@ -76,7 +76,7 @@ class Simulator(Propagation):
         ``run`` goes on interval by interval. Too much work is the fault of the motion: no other start is tried.
         """
         n, steps = self.scene.n_strains, len(commands)
-        if self.hold == "first":
+        if self.inputs == "ramp":
             origin = np.vstack([start[2 * n :], commands[:-1]])
             slope = (commands - origin) / self.dt
         else:

@@ -113,7 +113,7 @@ class Propagation(ABC):
     def run(self, u: ArrayLike, x0: ArrayLike | None = None, energy: bool = False) -> Trajectory:
         """Trajectory under commands ``u`` (T, n_inputs) from state ``x0``, or from rest under zero inputs.
 
-        With first-order hold the inputs start where ``x0`` has them and reach ``u[k]`` at the end of step k. An
+        Inputs that ramp start where ``x0`` has them and reach ``u[k]`` at the end of step k. An
         integrator that gives up ends the trajectory at the last good step (``success=False``); it never raises.
         ``energy=True`` integrates the work of every term along the way, for ``Trajectory.energy()``.
         """

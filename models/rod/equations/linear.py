@@ -52,9 +52,9 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class DiscreteLinearisation:
-    """``x+ = A x + B_before u_k-1 + B u_k``, deviations from the state, first-order hold over ``dt`` seconds.
+    """``x+ = A x + B_before u_k-1 + B u_k``, deviations from the state, inputs that ramp over ``dt`` seconds.
 
-    With zero-order hold of ``u_k`` the input matrix is ``B_before + B``.
+    With inputs that jump to ``u_k`` at the start of the step the input matrix is ``B_before + B``.
     """
 
     A: Array

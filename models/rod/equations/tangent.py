@@ -82,7 +82,12 @@ class Tangent:
         inputs = np.concatenate([state[2 * n :], np.zeros(6)])
         values = [np.asarray(v) for v in self._function(state[:n], inputs)]
         p, frame, r_xi, r_u, p_xi, p_u, frame_xi, frame_u = values
-        follow = -np.linalg.solve(r_xi, r_u)
+        try:
+            follow = -np.linalg.solve(r_xi, r_u)
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                "the equilibrium has no derivatives: the tangent stiffness is singular (it buckles); change its inputs"
+            ) from None
         turn = frame_xi @ follow + frame_u
         change = np.vstack([p_xi @ follow + p_u, _rotation_vectors(turn, frame)])
         return PoseSensitivity(p.ravel(), frame, change[:, :m], change[:, m:], follow[:, :m])

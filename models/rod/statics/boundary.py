@@ -1,8 +1,9 @@
-"""Equilibria with the pose prescribed at both ends: the wrench at the tip is part of the solution."""
+"""Equilibria with the tip pinned or clamped: the wrench at the tip is part of the solution."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -11,25 +12,25 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pisplit.checks import Array, finite_array
+from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.continuation import follow
+from pisplit.models.rod.statics.search import TOLERANCE
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
-TOLERANCE = 1e-8
 _FORCE, _MOMENT = "force at the tip", "moment at the tip"
 
 
 @dataclass(frozen=True)
-class HeldEquilibrium:
-    """An equilibrium whose tip is held.
+class FixedTipEquilibrium:
+    """An equilibrium whose tip is pinned (its position is prescribed) or clamped (its rotation too).
 
     Attributes:
         state: [xi, 0, u] (n_states,).
-        force: (3,) in N and moment: (3,) in N m that hold the tip, in world axes; the moment is zero where only the
-            position is prescribed.
+        force: (3,) in N and moment: (3,) in N m at the tip, in world axes; the moment of a pinned tip is zero.
         success: whether balance and pose are met; message: why not, empty on success.
         residual: largest error of balance (parts of EI/L) and pose (parts of L, rad).
     """
@@ -43,16 +44,26 @@ class HeldEquilibrium:
     scene: Scene = field(repr=False, compare=False)
 
 
-class HeldTip:
-    """Equilibria of a scene with the tip held in place; see ``Statics.hold_tip``."""
+class FixedTip(Rebuilt):
+    """Equilibria of a scene with its tip in a given place; see ``Statics.pin_tip`` and ``Statics.clamp_tip``.
 
-    def __init__(self, scene: Scene, turned: bool) -> None:
-        self.scene, self.turned = scene, turned
+    Args:
+        scene: the rod and what acts on it.
+        clamped: whether the rotation of the tip is prescribed beside its position.
+    """
+
+    def __init__(self, scene: Scene, clamped: bool) -> None:
+        self.scene = scene
         planar = scene.rod.strain_set.planar
         self._axes = [0, 2] if planar else [0, 1, 2]
-        self._turns = ([1] if planar else [0, 1, 2]) if turned else []
+        self._turns = ([1] if planar else [0, 1, 2]) if clamped else []
         self._force_scale = min(scene.rod.stiffness[:2]) / scene.rod.length**2
         self._moment_scale = self._force_scale * scene.rod.length
+
+    @cached_property
+    def _errors(self) -> ca.Function:
+        """``(x, [u, p, turn]) -> `` errors of balance (paper, eq. cosserat_rod_eq) and pose, scaled."""
+        scene = self.scene
         loaded = scene + TipWrench(Input(_FORCE, 3), Input(_MOMENT, 3))
         n, m = scene.n_strains, scene.n_inputs
         xi, inputs, balance = loaded.static_balance
@@ -65,9 +76,12 @@ class HeldTip:
         wrench = self._wrench(x[n:], ca.SX)
         known = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x[:n]
         (errors,) = ca.substitute([errors], [xi, inputs], [known, ca.vertcat(u, wrench)])
-        self._errors = ca.Function("errors", [x, ca.vertcat(u, p, ca.vec(turn))], [errors], {"cse": True})
+        return ca.Function("errors", [x, ca.vertcat(u, p, ca.vec(turn))], [errors], {"cse": True})
+
+    @cached_property
+    def _solver(self) -> ca.Function:
         options: dict[str, Any] = {"error_on_fail": True, "abstol": 1e-10, "max_iter": 30, "linear_solver": "qr"}
-        self._solver = ca.rootfinder("held", "newton", self._errors, {**options, "show_eval_warnings": False})
+        return ca.rootfinder("fixed_tip", "newton", self._errors, {**options, "show_eval_warnings": False})
 
     def _wrench(self, multipliers: ca.SX | Array, kind: type) -> ca.SX | Array:
         """Force and moment (6,) from the scaled unknowns."""
@@ -88,8 +102,17 @@ class HeldTip:
         bend[: len(free) * nodes] = np.outer(taper, node).ravel()
         return bend
 
-    def solve(self, u: Array, position: ArrayLike, rotation: ArrayLike | None, free: Array) -> HeldEquilibrium:
-        """Equilibrium under inputs ``u`` reached from the free one ``free`` [xi, 0, u] along a straight way."""
+    def solve(self, u: Array, position: ArrayLike, rotation: ArrayLike | None, free: Array) -> FixedTipEquilibrium:
+        """Equilibrium under inputs ``u`` (n_inputs,) reached from the free one along a straight way.
+
+        Args:
+            u: inputs.
+            position: of the tip (3,) in m.
+            rotation: of a clamped tip (3, 3), None for a pinned one.
+            free: state (n_states,) of the equilibrium without the constraint.
+
+        Raises ValueError for a rotation that is none.
+        """
         scene = self.scene
         n = scene.n_strains
         goal = finite_array(position, "position", (3,))
@@ -116,11 +139,11 @@ class HeldTip:
         first = np.zeros(n + len(self._axes) + len(self._turns))
         first[:n] = (free[:n] - scene.rest_coordinates) / scene.nominal_strains
         x, reached = follow(at, first)
-        if reached == 0.0:  # the tip of a straight rod that does not stretch cannot start to move along it
+        if reached == 0.0:  # the tip of a straight inextensible rod cannot start to move along it
             x, reached = follow(at, first + self._bend(goal - here))
         residual = float(np.abs(np.asarray(self._errors(x, parameters(1.0)))).max())
         success = bool(residual <= TOLERANCE)
         wrench = np.asarray(self._wrench(x[n:], np.ndarray))
         state = np.concatenate([scene.rest_coordinates + scene.nominal_strains * x[:n], np.zeros(n), u])
         message = "" if success else f"the tip could be moved {100.0 * reached:.0f} % of the way"
-        return HeldEquilibrium(state, wrench[:3], wrench[3:], success, residual, message, scene)
+        return FixedTipEquilibrium(state, wrench[:3], wrench[3:], success, residual, message, scene)

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array, positive
 
 if TYPE_CHECKING:
-    from pisplit.models.rod.statics.statics import Equilibrium, Statics
+    from pisplit.models.rod.statics.equilibrium import Equilibrium
+    from pisplit.models.rod.statics.statics import Statics
 
 MAX_ITERATIONS = 60
 #: Largest shift of the tip in parts of the length that one step asks of the linear model.
@@ -81,7 +82,7 @@ def inverse(
         else:
             message = "out of reach within the limits"
             break
-        u, equilibrium, taken = trial.state[-m:], trial, taken + 1
+        u, equilibrium, taken = trial.state[-m:].copy(), trial, taken + 1
         away = miss(equilibrium)
     error = float(np.linalg.norm(away))
     if message:

@@ -1,11 +1,9 @@
-"""Static equilibria by CasADi's rootfinders."""
+"""Static equilibria of a scene, and what depends on them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,157 +13,71 @@ from tqdm import tqdm
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 from pisplit.models.rod.scene import Scene
-from pisplit.models.rod.statics.boundary import HeldEquilibrium, HeldTip
-from pisplit.models.rod.statics.continuation import follow, relax
+from pisplit.models.rod.sharing import Rebuilt, in_turn
+from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium
+from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
-
-#: Largest scaled residual (parts of EI/L) of a state that counts as an equilibrium.
-TOLERANCE = 1e-8
-#: The same of a state that a relaxation hands over to Newton's method.
-COARSE = 1e-4
+from pisplit.models.rod.statics.search import TOLERANCE, Search, attempt
 
 
-@dataclass(frozen=True)
-class Equilibrium:
-    """A static equilibrium, or the best that was found.
+class Statics(Rebuilt):
+    """Equilibria of a scene: kinsol first, then Newton, then the loads in steps, then by relaxation (see ``Search``).
 
-    Attributes:
-        state: [xi, 0, u] (n_states,).
-        success: whether the residual is below tolerance.
-        residual: largest residual in parts of EI/L (moments) and EI/L^2 (forces).
-        iterations: Newton iterations of the solver that ended the search (all loads of a continuation together); None
-            after kinsol, whose CasADi interface does not report them.
-        solver: ``"kinsol"``, ``"newton"``, ``"continuation"`` or ``"relaxation"``.
-        tensions: tendon tensions in N.
-        slack: by how much each tendon is longer than its path, in m (0 when taut).
-        message: why the search failed, empty on success.
-    """
+    May be copied, pickled and sent to workers; calls from several threads wait for one another.
 
-    state: Array
-    success: bool
-    residual: float
-    iterations: int | None
-    solver: str
-    tensions: Array
-    slack: Array
-    message: str = ""
-    scene: Scene = field(repr=False, compare=False, kw_only=True)
-
-    @property
-    def strains(self) -> Array:
-        """Free strains xi (n_strains,)."""
-        return self.state[: self.scene.n_strains]
-
-    def pose(self, s: float) -> tuple[Array, Array]:
-        """Position (3,) in m and rotation (3, 3) at arclength ``s`` in m."""
-        y = self.scene.field_map([s]).evaluate(self.state)[0]
-        return y[:3], y[3:12].reshape(3, 3)
-
-    @property
-    def tip(self) -> Array:
-        """Position of the tip (3,) in m."""
-        return self.pose(self.scene.rod.length)[0]
-
-
-@dataclass(frozen=True)
-class EquilibriumBatch:
-    """Equilibria of many inputs: ``states`` (N, n_states), ``success``, ``residual`` (N,), ``tensions`` (N, tendons).
-
-    Rows that failed hold the last iterate; ``success`` tells them apart.
-    """
-
-    states: Array
-    success: np.ndarray
-    residual: Array
-    tensions: Array
-
-
-class Statics:
-    """Equilibria of a scene: kinsol first, then Newton, then the loads in steps, then by relaxation.
-
-    The unknowns are scaled by 1/L and the residual by EI/L, so tolerances mean the same for every rod.
+    Args:
+        scene: the rod and what acts on it.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
     @cached_property
-    def _graph(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Scaled unknowns, inputs, load factor and scaled residual; the load factor multiplies what deforms the rod."""
-        scene = self.scene
-        n = scene.n_strains
-        x, load = ca.SX.sym("x", n), ca.SX.sym("load")
-        xi, u, balance = scene.static_balance
-        bare = scene.without(object).balance(xi, ca.SX(n, 1), None, ca.SX(0, 1)).residual
-        residual = (load * balance.residual + (1.0 - load) * bare) / ca.DM(scene.nominal_residual)
-        scaled = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
-        return x, u, load, ca.substitute(residual, xi, scaled)
+    def search(self) -> Search:
+        """The scaled balance and its rootfinders."""
+        return Search(self.scene)
 
-    @cached_property
+    @property
     def residual_function(self) -> ca.Function:
-        """``(x, u) -> residual`` in scaled form."""
-        x, u, load, residual = self._graph
-        return ca.Function("residual", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
+        """``(x, u) -> residual`` in scaled form: see ``Search``."""
+        return self.search.residual_function
+
+    @property
+    def kinsol(self) -> ca.Function:
+        """``(x_guess, u) -> x`` in scaled unknowns: see ``Search``."""
+        return self.search.kinsol
 
     @cached_property
     def _readings(self) -> ca.Function:
+        """``(xi, u) -> tensions, lengths, unpulled lengths`` of the tendons."""
         xi, u, balance = self.scene.static_balance
         empty = ca.SX(0, 1)
         outputs = [balance.loads.outputs.get(name, empty) for name in ("tension", "length", "unpulled_length")]
         return ca.Function("readings", [xi, u], outputs, {"cse": True})
 
-    def _rootfinder(self, solver: str, loaded: bool, raises: bool = True) -> ca.Function:
-        x, u, load, residual = self._graph
-        if loaded:
-            function = self.scene.native(self.residual_function)
-        else:
-            function = ca.Function("g", [x, u, load], [residual], {"cse": True})
-        options: dict[str, Any] = {
-            "error_on_fail": raises,
-            "abstol": 1e-10,
-            "max_iter": 60,
-            "linear_solver": "qr",
-            "show_eval_warnings": False,
-        }
-        if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
-            options |= {"strategy": "linesearch", "disable_internal_warnings": True}
-        return ca.rootfinder("equilibrium", solver, function, options)
-
-    @cached_property
-    def kinsol(self) -> ca.Function:
-        """``(x_guess, u) -> x`` in scaled unknowns."""
-        return self._rootfinder("kinsol", True)
-
-    @cached_property
-    def _kinsol_of_rows(self) -> ca.Function:
-        """The same for a map: a row that fails neither ends it nor prints its inputs; the residual tells."""
-        return self._rootfinder("kinsol", True, raises=False)
-
-    @cached_property
-    def newton(self) -> ca.Function:
-        """``(x_guess, u) -> x`` in scaled unknowns, by damped Newton."""
-        return self._rootfinder("newton", True)
-
-    @cached_property
-    def _continuation(self) -> ca.Function:
-        return self._rootfinder("newton", False)
-
     # Solving ---------------------------------------------------------------------------------------------------------
 
+    @in_turn()
     def solve(self, u: ArrayLike | None = None, guess: ArrayLike | None = None) -> Equilibrium:
-        """Equilibrium under inputs ``u`` (n_inputs,), from the straight rod or from the state or strains ``guess``.
+        """Equilibrium under constant inputs.
 
         A failed search is returned with ``success=False`` and a message, never raised.
+
+        Args:
+            u: inputs (n_inputs,), zeros when not given.
+            guess: state (n_states,) or strains (n_strains,) to start from, the straight rod when not given.
+
+        Raises ValueError for arrays of another shape or with entries that are not finite.
         """
-        scene = self.scene
+        scene, search = self.scene, self.search
         u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
-        x, iterations, solver = self._search(u, x0)
-        residual = self._worst(x, u)
+        x, iterations, solver = search.find(u, x0)
+        residual = search.worst(x, u)
         success = bool(residual <= TOLERANCE)
         tensions, slack = self._read(x, u)
         return Equilibrium(
-            state=np.concatenate([self._strains(x), np.zeros(scene.n_strains), u]),
+            state=np.concatenate([search.strains(x), np.zeros(scene.n_strains), u]),
             success=success,
             residual=residual,
             iterations=iterations,
@@ -178,79 +90,88 @@ class Statics:
             scene=scene,
         )
 
+    @in_turn()
     def solve_many(self, inputs: ArrayLike, progress: bool = False, chunk: int = 512) -> EquilibriumBatch:
-        """Equilibria under each row of ``inputs`` (N, n_inputs): one ``EquilibriumBatch``."""
-        scene = self.scene
+        """Equilibria of many inputs, each from a guess that is affine in them; one bad row is flagged, never raised.
+
+        Args:
+            inputs: (N, n_inputs).
+            progress: whether to show a bar.
+            chunk: rows solved by one call.
+        """
+        scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         found = np.empty((len(rows), scene.n_strains))
         worst = np.empty(len(rows))
         guess = self._affine_guess(rows)
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
-            x = self._solve_block(guess(block), block)
-            g = np.abs(np.asarray(self.scene.native(self.residual_function).map(len(block))(x.T, block.T)))
+            x = np.asarray(search.kinsol_of_rows.map(len(block))(guess(block).T, block.T)).T
             found[start : start + len(block)] = x
-            worst[start : start + len(block)] = np.where(np.isfinite(g), g, np.inf).max(axis=0, initial=0.0)
+            worst[start : start + len(block)] = search.worst_of_rows(x, block)
         for k in np.flatnonzero(worst > TOLERANCE):
-            found[k], _, _ = self._search(rows[k], np.zeros(scene.n_strains))
-            worst[k] = self._worst(found[k], rows[k])
-        states = np.hstack([self._strains(found), np.zeros_like(found), rows])
+            found[k], _, _ = search.find(rows[k], np.zeros(scene.n_strains))
+            worst[k] = search.worst(found[k], rows[k])
+        strains = search.strains(found)
         readings = self._readings.map(len(rows)) if len(rows) else None
-        tensions = np.asarray(readings(self._strains(found).T, rows.T)[0]).T if readings else np.empty((0, 0))
+        tensions = np.asarray(readings(strains.T, rows.T)[0]).T if readings else np.empty((0, 0))
+        states = np.hstack([strains, np.zeros_like(found), rows])
         return EquilibriumBatch(states, worst <= TOLERANCE, worst, tensions)
 
+    @in_turn()
     def sweep(self, inputs: ArrayLike) -> EquilibriumBatch:
-        """Equilibria along a path of ``inputs`` (N, n_inputs): each starts where the tangent of the last one leads.
+        """Equilibria along a path: each starts where the tangent of the last one leads.
 
         This follows one branch of equilibria; a row that fails is flagged and the next starts from the last good one.
+
+        Args:
+            inputs: (N, n_inputs) in the order of the path.
         """
-        scene = self.scene
+        scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         found, tensions = np.empty((len(rows), scene.n_strains)), []
         worst = np.empty(len(rows))
         x, before = np.zeros(scene.n_strains), None
         for k, u in enumerate(rows):
-            guess = x if before is None else x + self._along(x, before, u - before)
-            found[k] = _attempt(self.newton, guess, u)
-            worst[k] = self._worst(found[k], u)
+            guess = x if before is None else x + search.along(x, before, u - before)
+            found[k] = attempt(search.newton, guess, u)
+            worst[k] = search.worst(found[k], u)
             if worst[k] > TOLERANCE:
-                found[k], _, _ = self._search(u, x)
-                worst[k] = self._worst(found[k], u)
+                found[k], _, _ = search.find(u, x)
+                worst[k] = search.worst(found[k], u)
             if worst[k] <= TOLERANCE:
                 x, before = found[k], u
             tensions.append(self._read(found[k], u)[0])
-        states = np.hstack([self._strains(found), np.zeros_like(found), rows])
+        states = np.hstack([search.strains(found), np.zeros_like(found), rows])
         return EquilibriumBatch(states, worst <= TOLERANCE, worst, np.array(tensions))
-
-    @cached_property
-    def _slopes(self) -> ca.Function:
-        """``(x, u) -> `` derivatives of the scaled residual with respect to both."""
-        x, u, load, residual = self._graph
-        residual = ca.substitute(residual, load, ca.SX(1))
-        return ca.Function("slopes", [x, u], [ca.jacobian(residual, x), ca.jacobian(residual, u)], {"cse": True})
-
-    def _along(self, x: Array, u: Array, change: Array) -> Array:
-        """Change of the scaled unknowns with the inputs, to first order."""
-        of_x, of_u = (np.asarray(v) for v in self._slopes(x, u))
-        try:
-            return np.asarray(-np.linalg.solve(of_x, of_u @ change), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return np.zeros_like(x)
 
     # What an equilibrium depends on ----------------------------------------------------------------------------------
 
+    @in_turn()
     def sensitivity(self, state: ArrayLike, s: float | None = None) -> PoseSensitivity:
-        """Tendon Jacobian and compliance of the pose at arclength ``s`` in m (the tip), at an equilibrium state."""
-        s = self.scene.rod.length if s is None else float(s)
-        tangents: dict[float, Tangent] = self.__dict__.setdefault("_tangents", {})
-        if s not in tangents:
-            tangents[s] = Tangent(self.scene, s)
-        return tangents[s].sensitivity(checked_state(self.scene, state))
+        """Tendon Jacobian and compliance of the pose at an equilibrium.
 
+        Args:
+            state: equilibrium [xi, 0, u] (n_states,).
+            s: arclength of the pose in m, the tip when not given.
+
+        Raises ValueError where the equilibrium has no derivatives (at the load at which it buckles).
+        """
+        s = self.scene.rod.length if s is None else float(s)
+        if s not in self._tangents:
+            self._tangents[s] = Tangent(self.scene, s)
+        return self._tangents[s].sensitivity(checked_state(self.scene, state))
+
+    @cached_property
+    def _tangents(self) -> dict[float, Tangent]:
+        return {}
+
+    @in_turn()
     def stability(self, state: ArrayLike) -> Stability:
-        """Stability of an equilibrium state: see ``Stability``."""
+        """Stability of an equilibrium ``state`` [xi, 0, u] (n_states,): see ``Stability``."""
         return stability(self.scene, checked_state(self.scene, state))
 
+    @in_turn()
     def inverse(
         self,
         target: ArrayLike,
@@ -266,79 +187,65 @@ class Statics:
         Args:
             target: coordinates of the tip in world axes.
             limits: (low, high) for all inputs or (2, n_inputs).
-            start: inputs to start from, e.g. the pretension of the tendons.
+            start: inputs (n_inputs,) to start from, e.g. the pretension of the tendons.
             tolerance: of the position in parts of the length.
         """
         return inverse(self, target, limits, start, tolerance)
 
-    def hold_tip(
-        self, position: ArrayLike, rotation: ArrayLike | None = None, u: ArrayLike | None = None
-    ) -> HeldEquilibrium:
-        """Equilibrium with the tip held at ``position`` (3,) in m and, when given, ``rotation`` (3, 3).
+    def pin_tip(self, position: ArrayLike, u: ArrayLike | None = None) -> FixedTipEquilibrium:
+        """Equilibrium with the tip pinned: its position is prescribed, it turns freely.
 
         The tip is moved there from the free equilibrium on a straight way, so that one branch is followed; a place that
         cannot be reached is flagged, never raised.
+
+        Args:
+            position: of the tip (3,) in m, in world axes.
+            u: inputs (n_inputs,), zeros when not given.
         """
-        inputs = np.zeros(self.scene.n_inputs) if u is None else u
-        free = self.solve(inputs)
-        held: dict[bool, HeldTip] = self.__dict__.setdefault("_held", {})
-        turned = rotation is not None
-        if turned not in held:
-            held[turned] = HeldTip(self.scene, turned)
-        return held[turned].solve(free.state[2 * self.scene.n_strains :], position, rotation, free.state)
+        return self._fix_tip(False, position, None, u)
+
+    def clamp_tip(self, position: ArrayLike, rotation: ArrayLike, u: ArrayLike | None = None) -> FixedTipEquilibrium:
+        """Equilibrium with the tip clamped: position and rotation are prescribed; reached as in ``pin_tip``.
+
+        Args:
+            position: of the tip (3,) in m, in world axes.
+            rotation: of the tip (3, 3), body axes as columns.
+            u: inputs (n_inputs,), zeros when not given.
+
+        Raises ValueError for a matrix that is no rotation.
+        """
+        return self._fix_tip(True, position, rotation, u)
+
+    @in_turn()
+    def _fix_tip(
+        self, clamped: bool, position: ArrayLike, rotation: ArrayLike | None, u: ArrayLike | None
+    ) -> FixedTipEquilibrium:
+        free = self.solve(u)
+        if clamped not in self._fixed_tips:
+            self._fixed_tips[clamped] = FixedTip(self.scene, clamped)
+        inputs = free.state[2 * self.scene.n_strains :]
+        return self._fixed_tips[clamped].solve(inputs, position, rotation, free.state)
+
+    @cached_property
+    def _fixed_tips(self) -> dict[bool, FixedTip]:
+        return {}
+
+    # Guesses and readings --------------------------------------------------------------------------------------------
 
     def _affine_guess(self, rows: Array) -> Callable[[Array], Array]:
         """A guess affine in u, fitted to the equilibria of the first rows: a third of a zero guess's iterations."""
         n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
         if len(rows) < 4 * pilots:
             return lambda block: np.zeros((len(block), n))
-        solved = np.array([self._search(u, np.zeros(n))[0] for u in rows[:pilots]])
+        solved = np.array([self.search.find(u, np.zeros(n))[0] for u in rows[:pilots]])
         lift = np.hstack([np.ones((pilots, 1)), rows[:pilots]])
         coefficients = np.linalg.lstsq(lift, solved, rcond=None)[0]
         return lambda block: coefficients[0] + block @ coefficients[1:]
 
-    def _solve_block(self, guess: Array, block: Array) -> Array:
-        """kinsol on every row; rows that fail come back as they are."""
-        return np.asarray(self._kinsol_of_rows.map(len(block))(guess.T, block.T)).T
-
-    def _search(self, u: Array, x0: Array) -> tuple[Array, int | None, str]:
-        """Solver after solver until one converges; the last iterate, its iterations and the solver's name."""
-        for name, solver in (("kinsol", self.kinsol), ("newton", self.newton)):
-            x = _attempt(solver, x0, u)
-            if self._worst(x, u) <= TOLERANCE:
-                return x, _iterations(solver) if name == "newton" else None, name
-        total = 0
-
-        def at_load(load: float, guess: Array) -> Array | None:
-            nonlocal total
-            x = _attempt(self._continuation, guess, u, load)
-            total += _iterations(self._continuation)
-            return x if np.all(np.isfinite(x)) else None
-
-        x, _ = follow(at_load, np.zeros_like(x0))
-        if self._worst(x, u) <= TOLERANCE:
-            return x, total, "continuation"
-        sunk = relax(lambda x: self._residual(x, u), lambda x: np.asarray(self._slopes(x, u)[0]), x, COARSE)
-        refined = _attempt(self.newton, sunk, u)
-        if np.all(np.isfinite(refined)):
-            x, total = refined, _iterations(self.newton)
-        return x, total, "relaxation"
-
-    def _residual(self, x: Array, u: Array) -> Array:
-        return np.asarray(self.scene.native(self.residual_function)(x, u)).ravel()
-
-    def _worst(self, x: Array, u: Array) -> float:
-        g = np.abs(self._residual(x, u))
-        return float(g.max(initial=0.0)) if np.all(np.isfinite(g)) else float("inf")
-
     def _read(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Tensions in N and slack in m of every tendon; tendons driven by tension are never slack."""
-        tension, length, unpulled = (np.asarray(v).ravel() for v in self._readings(self._strains(x), u))
+        tension, length, unpulled = (np.asarray(v).ravel() for v in self._readings(self.search.strains(x), u))
         return tension, np.maximum(0.0, unpulled - length)
-
-    def _strains(self, x: Array) -> Array:
-        strains: Array = self.scene.rest_coordinates + x * self.scene.nominal_strains
-        return strains
 
     def _scaled(self, guess: ArrayLike) -> Array:
         values = np.asarray(guess, float).ravel()
@@ -347,20 +254,4 @@ class Statics:
                 f"guess has {values.size} entries; expected {self.scene.n_states} (a state) "
                 f"or {self.scene.n_strains} (strains)"
             )
-        rest = self._strains(np.zeros(self.scene.n_strains))
-        scaled: Array = (
-            finite_array(values[: self.scene.n_strains], "guess", (None,)) - rest
-        ) / self.scene.nominal_strains
-        return scaled
-
-
-def _attempt(solver: ca.Function, x0: Array, *parameters: Array | float) -> Array:
-    """One call of a rootfinder; NaN where it fails."""
-    try:
-        return np.asarray(solver(x0, *parameters)).ravel()
-    except RuntimeError:
-        return np.full(len(x0), np.nan)
-
-
-def _iterations(solver: ca.Function) -> int:
-    return int(solver.stats()["iter_count"])
+        return self.search.scaled(finite_array(values[: self.scene.n_strains], "guess", (None,)))

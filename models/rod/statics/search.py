@@ -1,0 +1,180 @@
+"""The search for one equilibrium: kinsol first, then Newton, then the loads in steps, then relaxation."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.statics.continuation import follow, relax
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.scene import Scene
+
+#: Largest scaled residual (parts of EI/L) of a state that counts as an equilibrium.
+TOLERANCE = 1e-8
+#: The same of a state that a relaxation hands over to Newton's method.
+COARSE = 1e-4
+#: Residual at which the rootfinders stop, well below ``TOLERANCE``.
+STOP = 1e-10
+
+
+class Search(Rebuilt):
+    """Roots of the static balance (paper, eq. cosserat_rod_eq at rest) of a scene in scaled form.
+
+    The unknowns x are the strains in parts of ``nominal_strains`` (1/L), measured from the unloaded rod; the residual
+    is in parts of ``nominal_residual`` (EI/L), so that tolerances mean the same for every rod.
+
+    Args:
+        scene: the rod and what acts on it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    # The equations ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _graph(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Scaled unknowns, inputs, load factor and scaled residual; the load factor multiplies what deforms the rod."""
+        scene = self.scene
+        n = scene.n_strains
+        x, load = ca.SX.sym("x", n), ca.SX.sym("load")
+        xi, u, balance = scene.static_balance
+        bare = scene.without(object).balance(xi, ca.SX(n, 1), None, ca.SX(0, 1)).residual
+        residual = (load * balance.residual + (1.0 - load) * bare) / ca.DM(scene.nominal_residual)
+        scaled = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
+        return x, u, load, ca.substitute(residual, xi, scaled)
+
+    @cached_property
+    def residual_function(self) -> ca.Function:
+        """``(x, u) -> residual``."""
+        x, u, load, residual = self._graph
+        return ca.Function("residual", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """``(x, u) -> `` derivatives of the residual with respect to both."""
+        x, u, load, residual = self._graph
+        residual = ca.substitute(residual, load, ca.SX(1))
+        return ca.Function("slopes", [x, u], [ca.jacobian(residual, x), ca.jacobian(residual, u)], {"cse": True})
+
+    def strains(self, x: Array) -> Array:
+        """Free strains (..., n_strains) of unknowns ``x`` (..., n_strains)."""
+        strains: Array = self.scene.rest_coordinates + x * self.scene.nominal_strains
+        return strains
+
+    def scaled(self, strains: Array) -> Array:
+        """Unknowns (n_strains,) of free ``strains`` (n_strains,)."""
+        scaled: Array = (strains - self.scene.rest_coordinates) / self.scene.nominal_strains
+        return scaled
+
+    def residual(self, x: Array, u: Array) -> Array:
+        """Residual (n_strains,) of unknowns ``x`` (n_strains,) under inputs ``u`` (n_inputs,)."""
+        return np.asarray(self.scene.native(self.residual_function)(x, u)).ravel()
+
+    def worst(self, x: Array, u: Array) -> float:
+        """Largest residual of ``x`` under ``u``; infinite where it is not finite."""
+        g = np.abs(self.residual(x, u))
+        return float(g.max(initial=0.0)) if np.all(np.isfinite(g)) else float("inf")
+
+    def worst_of_rows(self, x: Array, u: Array) -> Array:
+        """The same (N,) of rows ``x`` (N, n_strains) under rows ``u`` (N, n_inputs)."""
+        g = np.abs(np.asarray(self.scene.native(self.residual_function).map(len(x))(x.T, u.T)))
+        worst: Array = np.where(np.isfinite(g), g, np.inf).max(axis=0, initial=0.0)
+        return worst
+
+    # Rootfinders -----------------------------------------------------------------------------------------------------
+
+    def _rootfinder(self, solver: str, loaded: bool, raises: bool = True) -> ca.Function:
+        x, u, load, residual = self._graph
+        if loaded:
+            function = self.scene.native(self.residual_function)
+        else:
+            function = ca.Function("g", [x, u, load], [residual], {"cse": True})
+        options: dict[str, Any] = {
+            "error_on_fail": raises,
+            "abstol": STOP,
+            "max_iter": 60,
+            "linear_solver": "qr",
+            "show_eval_warnings": False,
+        }
+        if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
+            options |= {"strategy": "linesearch", "disable_internal_warnings": True}
+        return ca.rootfinder("equilibrium", solver, function, options)
+
+    @cached_property
+    def kinsol(self) -> ca.Function:
+        """``(x_guess, u) -> x`` by KINSOL with a line search."""
+        return self._rootfinder("kinsol", True)
+
+    @cached_property
+    def kinsol_of_rows(self) -> ca.Function:
+        """The same for a map: a row that fails neither ends it nor prints its inputs; the residual tells."""
+        return self._rootfinder("kinsol", True, raises=False)
+
+    @cached_property
+    def newton(self) -> ca.Function:
+        """``(x_guess, u) -> x`` by damped Newton."""
+        return self._rootfinder("newton", True)
+
+    @cached_property
+    def _newton_at_load(self) -> ca.Function:
+        """``(x_guess, u, load) -> x``."""
+        return self._rootfinder("newton", False)
+
+    # Searching -------------------------------------------------------------------------------------------------------
+
+    def find(self, u: Array, x0: Array) -> tuple[Array, int | None, str]:
+        """Solver after solver until one converges.
+
+        Args:
+            u: inputs (n_inputs,).
+            x0: unknowns (n_strains,) to start from.
+
+        Returns the last iterate (n_strains,), its iterations and the solver's name.
+        """
+        for name, solver in (("kinsol", self.kinsol), ("newton", self.newton)):
+            x = attempt(solver, x0, u)
+            if self.worst(x, u) <= TOLERANCE:
+                return x, _iterations(solver) if name == "newton" else None, name
+        total = 0
+
+        def at_load(load: float, guess: Array) -> Array | None:
+            nonlocal total
+            x = attempt(self._newton_at_load, guess, u, load)
+            total += _iterations(self._newton_at_load)
+            return x if np.all(np.isfinite(x)) else None
+
+        x, _ = follow(at_load, np.zeros_like(x0))
+        if self.worst(x, u) <= TOLERANCE:
+            return x, total, "continuation"
+        sunk = relax(lambda x: self.residual(x, u), lambda x: np.asarray(self.slopes(x, u)[0]), x, COARSE)
+        refined = attempt(self.newton, sunk, u)
+        if np.all(np.isfinite(refined)):
+            x, total = refined, _iterations(self.newton)
+        return x, total, "relaxation"
+
+    def along(self, x: Array, u: Array, change: Array) -> Array:
+        """Change (n_strains,) of the root ``x`` under ``u`` with a ``change`` (n_inputs,) of the inputs."""
+        of_x, of_u = (np.asarray(v) for v in self.slopes(x, u))
+        try:
+            return np.asarray(-np.linalg.solve(of_x, of_u @ change), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return np.zeros_like(x)
+
+
+def attempt(solver: ca.Function, x0: Array, *parameters: Array | float) -> Array:
+    """One call of a rootfinder from ``x0`` (n,) with its ``parameters``; NaN (n,) where it fails."""
+    try:
+        return np.asarray(solver(x0, *parameters)).ravel()
+    except RuntimeError:
+        return np.full(len(x0), np.nan)
+
+
+def _iterations(solver: ca.Function) -> int:
+    return int(solver.stats()["iter_count"])
