@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes
+from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.evaluation.rollouts import check_same_system, state_indices
 from pisplit.lifted.model import LiftedModel
 
 Array = NDArray[np.float64]
 
-CHUNK = 256
+#: Relative spread that rounding alone may make.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -65,34 +67,57 @@ def horizon_errors(
     step = count(stride, "stride")
     chosen = state_indices(model, states)
     longest, delays = int(ahead[-1]), model.n_delays
-    starts = [(i, k) for i, u in enumerate(episodes.us) for k in range(delays, len(u) - longest + 1, step)]
-    if not starts:
+    squared = np.zeros((len(ahead), len(chosen)))
+    lost, starts = np.zeros(len(ahead)), 0
+    for part in _starts(episodes, delays, longest, step):
+        starts += len(part)
+        z0 = model.lift(
+            np.stack([episodes.xs[i][k - delays : k + 1] for i, k in part]),
+            np.stack([episodes.us[i][k - delays : k] for i, k in part]),
+        )
+        for piece in pieces(model, z0, [episodes.us[i][k : k + longest] for i, k in part]):
+            reached = np.flatnonzero((ahead > piece.first) & (ahead < piece.first + piece.x.shape[1]))
+            truth = np.stack([episodes.xs[i][k + ahead[reached]] for i, k in part[piece.which]])[:, :, chosen]
+            error = (piece.x[:, ahead[reached] - piece.first][:, :, chosen] - truth) ** 2
+            gone = (piece.diverged_at[:, None] >= 0) & (piece.diverged_at[:, None] <= ahead)
+            squared[reached] += np.where(gone[:, reached, None], 0.0, error).sum(axis=0)
+            lost += gone.sum(axis=0)
+    if starts == 0:
         raise ValueError(
             f"horizons up to {longest} with {delays} delays need episodes of {longest + delays} steps; "
             f"the longest has {max(map(len, episodes.us))}"
         )
-    squared = np.zeros((len(ahead), len(chosen)))
-    lost = np.zeros(len(ahead))
-    for first in range(0, len(starts), CHUNK):
-        part = starts[first : first + CHUNK]
-        z0 = [model.lift(episodes.xs[i][k - delays : k + 1], episodes.us[i][k - delays : k]) for i, k in part]
-        result = model.rollout(np.stack(z0), np.stack([episodes.us[i][k : k + longest] for i, k in part]))
-        truth = np.stack([episodes.xs[i][k + ahead][:, chosen] for i, k in part])
-        error = (result.x[:, ahead][:, :, chosen] - truth) ** 2
-        at = np.asarray(result.diverged_at)[:, None]
-        gone = (at >= 0) & (at <= ahead)
-        lost += gone.sum(axis=0)
-        squared += np.where(gone[:, :, None], np.inf, error).sum(axis=0)
-    rms = np.sqrt(squared / len(starts))
-    spread = episodes.stacked_states()[:, chosen].std(axis=0)
+    squared[lost > 0] = np.inf
+    rms = np.sqrt(squared / starts)
+    spread = _spread([x[:, chosen] for x in episodes.xs])
     varying = spread > 0.0
     normalised = np.sqrt(((rms[:, varying] / spread[varying]) ** 2).mean(axis=1)) if varying.any() else rms.max(axis=1)
     return HorizonErrors(
         horizons=ahead,
         rms=rms,
         normalised=normalised,
-        diverged=lost / len(starts),
-        starts=len(starts),
+        diverged=lost / starts,
+        starts=starts,
         names=tuple(model.state_names[i] for i in chosen),
         units=tuple((episodes.units or [""] * model.n_states)[i] for i in chosen),
     )
+
+
+def _starts(episodes: Episodes, delays: int, longest: int, stride: int) -> Iterator[NDArray[np.int64]]:
+    """Starts (E, 2), an episode and a step each, not too many at once."""
+    waiting: list[NDArray[np.int64]] = []
+    for i, u in enumerate(episodes.us):
+        steps = np.arange(delays, len(u) - longest + 1, stride)
+        waiting.append(np.column_stack([np.full(len(steps), i), steps]))
+        if sum(map(len, waiting)) >= SIDE_BY_SIDE or i == len(episodes) - 1:
+            found = np.concatenate(waiting)
+            yield from (found[first : first + SIDE_BY_SIDE] for first in range(0, len(found), SIDE_BY_SIDE))
+            waiting = []
+
+
+def _spread(arrays: Sequence[Array]) -> Array:
+    """Standard deviation (k,) of the rows (N_i, k) of all arrays; zero where only rounding varies."""
+    size = sum(map(len, arrays))
+    mean = np.sum([x.sum(axis=0) for x in arrays], axis=0) / size
+    std = np.sqrt(np.sum([((x - mean) ** 2).sum(axis=0) for x in arrays], axis=0) / size)
+    return np.where(std <= ROUNDING * np.abs(mean), 0.0, std)

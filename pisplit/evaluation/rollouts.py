@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.data.episodes import Episodes
+from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ class RolloutErrors:
     @property
     def mean(self) -> float:
         """Mean over all steps of all episodes: infinite if one diverged."""
-        return float(np.concatenate(self.squared).mean())
+        return float(sum(values.sum() for values in self.squared) / sum(map(len, self.squared)))
 
     @property
     def per_episode(self) -> Array:
@@ -52,7 +53,10 @@ class RolloutErrors:
 
     def quantile(self, q: float) -> float:
         """Quantile over all steps of all episodes (the lower neighbour: no interpolation with infinity)."""
-        return float(np.quantile(np.concatenate(self.squared), q, method="lower"))
+        values = np.concatenate(self.squared)
+        position = int(q * (len(values) - 1))
+        values.partition(position)  # in place: as large as the errors, not twice
+        return float(values[position])
 
     def __str__(self) -> str:
         low, high = self.quartiles
@@ -71,27 +75,40 @@ def rollout_errors(
     """Roll every episode out from its first states and compare with the truth.
 
     ``states``: name of an output group of the model, state names or indices (default: all). ``weights`` (n,) multiply
-    the errors of the states before they are squared. Episodes of equal length are rolled out side by side.
+    the errors of the states before they are squared. Episodes of equal length are rolled out side by side, in
+    pieces that keep memory small at any number of pairs.
     Raises ValueError for episodes of other sizes or another time step, or shorter than the model's delays.
     """
     check_same_system(model, episodes)
     chosen = state_indices(model, states)
     weight = np.ones(len(chosen)) if weights is None else np.asarray(weights)[chosen]
-    starts = [episodes.start(i, model.n_delays) for i in range(len(episodes))]
-    squared: list[Array] = [np.empty(0)] * len(starts)
-    diverged = np.zeros(len(starts), dtype=bool)
-    for length in sorted({len(start.inputs) for start in starts}):
-        same = [i for i, start in enumerate(starts) if len(start.inputs) == length]
-        z0 = np.stack([model.lift(starts[i].x_history, starts[i].u_history) for i in same])
-        result = model.rollout(z0, np.stack([starts[i].inputs for i in same]))
-        for position, i in enumerate(same):
-            error = (result.x[position] - starts[i].states)[1:, chosen] * weight
-            squared[i] = (error**2).sum(axis=1)
-            at = int(np.asarray(result.diverged_at)[position])
-            if at >= 0:
-                diverged[i] = True
-                squared[i][max(at - 1, 0) :] = np.inf
-    return RolloutErrors(squared=tuple(squared), diverged=diverged)
+    delays = model.n_delays
+    lengths = np.array([len(u) for u in episodes.us]) - delays
+    if lengths.min() < 1:
+        i = int(lengths.argmin())
+        raise ValueError(f"episode {i} has {lengths[i] + delays} steps; {delays} delays need at least {delays + 1}")
+    squared = tuple(np.full(length, np.inf) for length in lengths)
+    diverged = np.zeros(len(squared), dtype=bool)
+    for group in _groups(lengths):
+        histories = [episodes.xs[i][: delays + 1] for i in group], [episodes.us[i][:delays] for i in group]
+        z0 = model.lift(np.stack(histories[0]), np.stack(histories[1]))
+        for piece in pieces(model, z0, [episodes.us[i][delays:] for i in group]):
+            for row, position in enumerate(piece.which):
+                i, at = group[position], int(piece.diverged_at[row])
+                diverged[i] |= at >= 0
+                end = piece.first + piece.x.shape[1] - 1 if at < 0 else at - 1
+                if end > piece.first:
+                    truth = episodes.xs[i][delays + piece.first + 1 : delays + end + 1, chosen]
+                    error = (piece.x[row, 1 : end - piece.first + 1, chosen].T - truth) * weight
+                    squared[i][piece.first : end] = (error**2).sum(axis=1)
+    return RolloutErrors(squared=squared, diverged=diverged)
+
+
+def _groups(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Episodes of one length, not too many at once."""
+    for length in np.unique(lengths):
+        same = np.flatnonzero(lengths == length)
+        yield from (same[first : first + SIDE_BY_SIDE] for first in range(0, len(same), SIDE_BY_SIDE))
 
 
 def check_same_system(model: LiftedModel, episodes: Episodes) -> None:

@@ -156,17 +156,21 @@ class LiftedModel:
     def lift(self, x_history: ArrayLike, u_history: ArrayLike | None = None) -> Array:
         """z (M,) from x_history (D+1, n) and u_history (D, m), rows are times, newest last (D = n_delays).
 
-        Without delays a single state x (n,) is accepted and u_history may be left out.
+        Without delays a single state x (n,) is accepted and u_history may be left out. E histories at once, (E, D+1, n)
+        and (E, D, m), give z (E, M). Raises ValueError for other shapes and entries that are not finite.
         """
-        delays = self.n_delays
-        states = np.asarray(x_history, dtype=np.float64)
-        if delays == 0 and states.ndim == 1:
-            states = states[None, :]
-        states = finite_array(states, "x_history", (delays + 1, self.n_states))
+        delays, axes = self.n_delays, np.ndim(x_history)
+        lead = (len(x_history),) if axes == 3 else ()  # type: ignore[arg-type]
+        if delays == 0 and axes == 1:
+            states = finite_array(x_history, "x_history", (self.n_states,))
+        else:
+            states = finite_array(x_history, "x_history", (*lead, delays + 1, self.n_states))
         if u_history is None and delays == 0:
-            u_history = np.zeros((0, self.n_inputs))
-        inputs = finite_array(np.asarray(u_history, dtype=np.float64), "u_history", (delays, self.n_inputs))
-        return self._lift(states.reshape(1, -1), inputs.reshape(1, -1))[0]
+            u_history = np.zeros((*lead, 0, self.n_inputs))
+        inputs = finite_array(u_history, "u_history", (*lead, delays, self.n_inputs))  # type: ignore[arg-type]
+        rows = lead[0] if lead else 1
+        z = self._lift(states.reshape(rows, (delays + 1) * self.n_states), inputs.reshape(rows, delays * self.n_inputs))
+        return z if lead else z[0]
 
     def features(self, inputs: ArrayLike) -> Array:
         """phi (N, P) of inputs (N, m)."""
@@ -303,7 +307,8 @@ class LiftedModel:
 
     def _rollout_many(self, start: Array, inputs: Array) -> Rollout:
         episodes, steps = inputs.shape[:2]
-        features = self.features(inputs.reshape(-1, self.n_inputs)).reshape(episodes, steps, -1)
+        features = self.features(inputs.reshape(episodes * steps, self.n_inputs))
+        features = features.reshape(episodes, steps, self.n_features)
         # All inputs act through one product before the loop: a step is then one product with A and one sum.
         z = np.empty((steps + 1, episodes, self.n_lifted))
         z[0] = start

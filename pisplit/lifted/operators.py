@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.data.episodes import Episodes, Pairs, excited_directions
+from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.lifted.model import LiftedModel
@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Ridge of the read-out, relative to the mean diagonal of its Gram matrix: columns may be collinear.
 READ_OUT_ALPHA = 1e-10
+#: Singular value of a direction in which inputs vary, relative to the largest.
+EXCITED = 1e-6
 
 
 def lifted_model(
@@ -37,7 +39,7 @@ def lifted_model(
     pairs of a simulated twin.
     """
     read, offset = _read_out(theta, pairs, samples)
-    mean, basis = excited_directions(np.vstack([pairs.u, pairs.u_history.reshape(-1, theta.n_inputs)]))
+    mean, basis = excited_inputs(pairs)
     return LiftedModel(
         **operators(theta, k),
         c=np.zeros(theta.n_lifted),
@@ -57,7 +59,7 @@ def lifted_model(
         outputs={name: tuple(group) for name, group in (episodes.outputs or {}).items()},
         provenance=dict(provenance),
         state_units=episodes.units,
-        input_units=getattr(episodes, "input_units", None),
+        input_units=episodes.input_units,
     )
 
 
@@ -110,9 +112,27 @@ def _read_out(theta: Dictionary, pairs: Pairs, samples: PhaseSamples | Pairs | N
 
 
 def state_range(pairs: Pairs, quantities: Sequence[str]) -> Array:
-    """Largest magnitude (n,) of each state's quantity in the pairs; 1 for a quantity that is always zero."""
-    largest = np.maximum(np.abs(pairs.x).max(axis=0), np.abs(pairs.x_next).max(axis=0))
+    """Largest magnitude (n,) of the ``quantities`` (n,) of the states in the pairs; 1 for one that is always zero."""
+    largest = np.zeros(len(quantities))
+    for b in pairs.blocks():
+        for states in (b.x, b.x_next):
+            np.maximum(largest, np.abs(states).max(axis=0), out=largest)
     labels = np.array(quantities)
     pooled = np.array([largest[labels == label].max() for label in labels])
     pooled[pooled == 0.0] = 1.0
     return pooled
+
+
+def excited_inputs(pairs: Pairs) -> tuple[Array, Array]:
+    """Mean (m,) of the inputs of the pairs, past ones too, and an orthonormal basis (m, r) of where they vary.
+
+    A direction counts if its singular value exceeds ``EXCITED`` of the largest.
+    """
+    size = pairs.inputs.shape[1]
+    if size == 0:
+        return np.zeros(0), np.zeros((0, 0))
+    moments = accumulate(np.vstack([b.u, b.u_history.reshape(-1, size)]) for b in pairs.blocks())
+    _, values, directions = np.linalg.svd(moments.factor, full_matrices=False)
+    rounding = np.finfo(float).eps * float(np.abs(moments.mean).max()) * moments.n_samples
+    excited = values > max(EXCITED * float(values.max(initial=0.0)), rounding)
+    return moments.mean, directions[excited].T.copy()

@@ -14,7 +14,10 @@ Array = NDArray[np.float64]
 CONSTANT = 1e-13
 #: Columns that one block reflector of the QR factorisation eliminates: fastest of 16 to 128 at 723 columns.
 REFLECTOR = 32
-BLOCK = 4096
+#: Rows that are rotated into the triangle at once.
+BLOCK = 1024
+#: Bytes of a block of samples: what evaluates and stacks them holds a few times as much.
+BLOCK_BYTES = 8_000_000
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,11 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
     triangle: Array | None = None
     for block in blocks:
         n_samples += len(block)
-        rows = np.ones((len(block), block.shape[1] + 1))
-        rows[:, 1:] = block
-        triangle = _rotated(triangle, rows)
+        for first in range(0, len(block), BLOCK):
+            part = block[first : first + BLOCK]
+            rows = np.ones((len(part), part.shape[1] + 1), order="F")
+            rows[:, 1:] = part
+            triangle = _rotated(triangle, rows)
     if triangle is None or n_samples == 0:
         raise ValueError("there are no samples to learn from; give at least one snapshot pair or phase sample")
     bad = np.flatnonzero(~np.isfinite(triangle[:, 1:].sum(axis=0)))
@@ -71,16 +76,24 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
     return Moments(n_samples=n_samples, mean=mean, factor=factor)
 
 
+def block_rows(columns: int) -> int:
+    """Rows of a block of samples of so many columns that keeps memory small, at most 4096."""
+    return int(np.clip(BLOCK_BYTES // (8 * max(columns, 1)), 256, 4096))
+
+
 def triangular_factor(rows: Array) -> Array:
     """R (min(N, k), k) with R^T R = rows^T rows for rows (N, k), by orthogonal transformations."""
     triangle: Array | None = None
     for first in range(0, len(rows), BLOCK):
-        triangle = _rotated(triangle, rows[first : first + BLOCK])
+        triangle = _rotated(triangle, np.array(rows[first : first + BLOCK], dtype=np.float64, order="F"))
     return np.zeros((0, rows.shape[1])) if triangle is None else np.ascontiguousarray(triangle)
 
 
 def _rotated(triangle: Array | None, rows: Array) -> Array:
-    """Triangle of the QR factorisation of [triangle; rows], a trapezoid while there are fewer rows than columns."""
+    """Triangle of the QR factorisation of [triangle; rows], a trapezoid while there are fewer rows than columns.
+
+    ``rows`` are overwritten: in Fortran order nothing is copied.
+    """
     size = rows.shape[1]
     if triangle is None or len(triangle) < size:
         stacked = rows if triangle is None else np.vstack([triangle, rows])
@@ -89,6 +102,5 @@ def _rotated(triangle: Array | None, rows: Array) -> Array:
         triangle, rows = np.asarray(np.linalg.qr(stacked[:size], mode="r")), stacked[size:]
     if len(rows) == 0 or size == 0:
         return triangle
-    columnwise = np.array(rows, dtype=np.float64, order="F")
-    result, _, _, _ = lapack.dtpqrt(0, min(REFLECTOR, size), np.asfortranarray(triangle), columnwise, overwrite_b=1)
+    result, _, _, _ = lapack.dtpqrt(0, min(REFLECTOR, size), np.asfortranarray(triangle), rows, overwrite_b=1)
     return np.asarray(np.triu(result))

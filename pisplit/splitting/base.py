@@ -20,7 +20,7 @@ from pisplit.dictionary.dictionary import Dictionary
 from pisplit.generator.generator import HalfStep, half_step
 from pisplit.generator.product_half_step import with_products
 from pisplit.regression import Regression, absolute_weight, alpha_max, composed_ridge, lasso
-from pisplit.regression.moments import Moments, accumulate
+from pisplit.regression.moments import Moments, accumulate, block_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -104,7 +104,7 @@ def pair_moments(theta: Dictionary, pairs: Pairs, equilibria: tuple[Array, Array
     """Moments of [Theta(k) | learned columns of psi(k+1)] (M + S columns), accumulated in blocks."""
 
     def blocks() -> Iterator[Array]:
-        for b in pairs.blocks():
+        for b in pairs.blocks(block_rows(theta.n_columns)):
             yield np.hstack([theta.evaluate(b), theta.next_learned(b)])
         if equilibria is not None:
             x, u = equilibria
