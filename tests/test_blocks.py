@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -80,24 +81,79 @@ def test_a_killed_process_leaves_no_half_block_and_is_continued(tmp_path: Path) 
     command = [sys.executable, str(script), str(tmp_path)]
     dead = subprocess.run([*command, "die"], capture_output=True, text=True)
     assert dead.returncode != 0
-    assert sorted(p.name for p in (tmp_path / "parts").glob("*.npz")) == ["000000.npz", "000001.npz"]
+    assert sorted(p.name for p in (tmp_path / "parts").glob("[0-9]*.h5")) == ["000000.h5", "000001.h5"]
     again = subprocess.run([*command, "live"], capture_output=True, text=True)
     assert again.returncode == 0, again.stderr
     assert again.stdout.split() == ["0", "1", "2", "3"]
     assert computed(tmp_path / "log") == [0, 1, 2, 2, 3]
 
 
-def test_truncated_and_partial_files_do_not_count_as_done(tmp_path: Path) -> None:
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "cut": lambda b: b[:-30],
+    "empty": lambda b: b"",
+    "a bit of its numbers": lambda b: b[:-9] + bytes([b[-9] ^ 1]) + b[-8:],
+    "a bit of its structure": lambda b: b[:600] + bytes([b[600] ^ 16]) + b[601:],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_blocks_are_computed_again(tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture) -> None:
     parts = tmp_path / "parts"
     whole = run(counted(tmp_path / "log"), parts)
-    file = parts / "000002.npz"
-    file.write_bytes(file.read_bytes()[:-30])
-    (parts / "000004.npz").write_bytes(b"")
-    (parts / "tmpabc.part").write_bytes(b"half")
+    file = parts / "000002.h5"
+    file.write_bytes(DAMAGES[damage](file.read_bytes()))
+    (parts / ".000004.h5.abc.part.h5").write_bytes(b"half")
     again = run(counted(tmp_path / "again"), parts)
-    assert computed(tmp_path / "again") == [2, 4]
+    assert computed(tmp_path / "again") == [2]
+    assert str(file) in caplog.text and "computed again" in caplog.text
     for a, b in zip(whole, again, strict=True):
         np.testing.assert_array_equal(a["x"], b["x"])
+
+
+def test_blocks_that_are_not_what_their_name_says_are_refused(tmp_path: Path) -> None:
+    """A copied file is whole; what it holds is of another place in the run, or of another run."""
+    ours, others = tmp_path / "ours", tmp_path / "others"
+    run(counted(tmp_path / "log"), ours, n=2)
+    run(counted(tmp_path / "log"), others, n=2, seed=4)
+    shutil.copy(ours / "000000.h5", ours / "000001.h5")
+    with pytest.raises(ValueError, match=r"000001.h5 is block 0 of the same run.*delete it"):
+        run(counted(tmp_path / "log"), ours, n=2)
+    shutil.copy(others / "000001.h5", ours / "000001.h5")
+    with pytest.raises(ValueError, match=r"000001.h5 is block 1 of a run with other settings") as error:
+        run(counted(tmp_path / "log"), ours, n=2)
+    assert "\n" not in str(error.value)
+
+
+def test_a_damaged_marker_is_told_and_may_be_deleted(tmp_path: Path) -> None:
+    """Blocks know their run themselves: without the marker those of another are still refused."""
+    run(counted(tmp_path / "log"), tmp_path / "parts", n=2)
+    marker = tmp_path / "parts" / "run.json"
+    marker.write_bytes(marker.read_bytes().replace(b"3", b"4", 1))
+    with pytest.raises(ValueError, match=r"run.json is damaged.*delete it"):
+        run(counted(tmp_path / "log"), tmp_path / "parts", n=2)
+    marker.unlink()
+    with pytest.raises(ValueError, match="other settings"):
+        run(counted(tmp_path / "log"), tmp_path / "parts", n=2, seed=4)
+    marker.unlink()
+    run(counted(tmp_path / "again"), tmp_path / "parts", n=2)
+    assert not (tmp_path / "again").exists()
+
+
+def test_arrays_of_numbers_and_texts_come_back_as_they_were(tmp_path: Path) -> None:
+    made = {
+        "texts": np.array([["a", "ä"], ["", "long one"]]),
+        "no texts": np.array([], dtype=str),
+        "whole": np.array([2**63 - 1]),
+        "half": np.float32([0.1, np.nan]),
+        "bits": np.float64([-0.0, 5e-324, np.inf]),
+        "truth": np.array([True, False]),
+        "complex": np.array(1j),
+    }
+    task = lambda k: made  # noqa: E731
+    run(task, tmp_path, n=1)
+    (again,) = run(task, tmp_path, n=1)
+    for name, array in made.items():
+        assert again[name].tobytes() == np.asarray(array).tobytes() and again[name].shape == np.shape(array), name
 
 
 def test_a_block_that_cannot_be_written_is_not_left_behind(tmp_path: Path) -> None:

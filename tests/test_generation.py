@@ -305,7 +305,7 @@ def test_stored_data_are_used_again_and_bad_files_are_refused_in_one_line(
     assert len(load(seed=1)[0]) == 2
     with h5py.File(first, "r+") as file:
         del file["x"]
-    refused("incomplete", dt=0.02)
+    refused("changed since it was written", dt=0.02)
 
 
 def test_episodes_of_other_sources_have_no_simulator_states(arm: TendonArm) -> None:

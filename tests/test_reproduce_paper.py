@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -153,9 +154,12 @@ def test_cells_are_resumed_refusals_counted_and_other_settings_refused(modules: 
     Counting.calls = 0
     first = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
     assert Counting.calls == 3
-    (tmp_path / "any" / "counting" / "16-300-1.npz").write_bytes(b"truncated")
+    (tmp_path / "any" / "counting" / "16-300-1.h5").write_bytes(b"truncated")
     again = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
     assert Counting.calls == 4
+    shutil.copy(tmp_path / "any" / "counting" / "16-300-0.h5", tmp_path / "any" / "counting" / "16-300-1.h5")
+    again = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
+    assert Counting.calls == 5  # the result of another draw does not count
     for cell in cells:
         np.testing.assert_array_equal(first[cell].errors.shape, again[cell].errors.shape)
     rows = modules.tables.table(again)

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
-import tempfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import joblib
-import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from pisplit.checks import count
+from pisplit.data import store
 
 Block = dict[str, NDArray[Any]]
+
+KIND = "pisplit/block"
+
+log = logging.getLogger(__name__)
 
 
 def run_blocks(
@@ -32,59 +35,83 @@ def run_blocks(
 ) -> list[Block]:
     """Results of ``task(0) .. task(n_blocks - 1)``, each kept in ``folder`` as soon as it is done.
 
-    A run that was killed continues where it stopped: blocks on disk are read, not computed again. Blocks of a run with
-    another ``identity`` (seed, arm, ...) raise ValueError. ``task`` must depend on nothing but its
-    number, so results do not depend on ``workers`` (processes; -1 = one a core). Any joblib backend that is set by
-    ``joblib.parallel_config`` is used, so the same run can go to a cluster.
+    A run that was killed continues where it stopped: blocks on disk are verified and read, not computed again; one that
+    is damaged is computed again, with a warning in the log.
+
+    Args:
+        task: the work of a block: its number -> arrays of numbers or texts by name. It must depend on nothing else, so
+            that results do not depend on ``workers``.
+        n_blocks: number of blocks; a finished run goes on from fewer to more.
+        folder: where the blocks are kept, made if it is missing.
+        identity: JSON-able facts that decide what ``task`` computes (seed, arm, ...); every block holds them.
+        workers: processes; -1 = one a core. Any joblib backend that is set by ``joblib.parallel_config`` is used, so
+            the same run can go to a cluster.
+        label: text before the progress bar.
+        progress: whether to show it.
+
+    Raises ValueError in one line if the folder holds blocks of a run with another identity, or cannot be written.
     """
     count(n_blocks, "n_blocks")
     place = Path(folder).resolve()  # a worker may stand in another folder
-    place.mkdir(parents=True, exist_ok=True)
-    _claim(place, identity)
-    todo = [k for k in range(n_blocks) if not zipfile.is_zipfile(_file(place, k))]  # a truncated file is none
+    origin = json.dumps(identity, sort_keys=True)
+    _claim(place, origin)
+    blocks = {k: block for k in range(n_blocks) if (block := _read(place, k, origin)) is not None}
+    todo = [k for k in range(n_blocks) if k not in blocks]
     jobs = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")(
-        joblib.delayed(_compute)(task, k, str(place)) for k in todo
+        joblib.delayed(_compute)(task, k, place, origin) for k in todo
     )
-    bar = tqdm(jobs, desc=label, total=n_blocks, initial=n_blocks - len(todo), disable=not progress, unit="block")
-    for _ in bar:
+    for _ in tqdm(jobs, desc=label, total=n_blocks, initial=len(blocks), disable=not progress, unit="block"):
         pass
-    return [_read(_file(place, k)) for k in range(n_blocks)]
+    for k in todo:
+        with store.reading(_file(place, k), KIND) as file:
+            blocks[k] = store.read_arrays(file["arrays"])
+    return [blocks[k] for k in range(n_blocks)]
 
 
 def discard_blocks(folder: str | os.PathLike[str]) -> None:
-    """Remove the blocks of a run whose result is safely stored elsewhere."""
+    """Remove the folder of the blocks of a run whose result is safely stored elsewhere."""
     shutil.rmtree(folder, ignore_errors=True)
 
 
 def _file(place: Path, k: int) -> Path:
-    return place / f"{k:06d}.npz"
+    return place / f"{k:06d}.h5"
 
 
-def _compute(task: Callable[[int], Block], k: int, place: str) -> int:
-    handle, name = tempfile.mkstemp(dir=place, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **task(k))  # type: ignore[arg-type]
-        os.replace(name, _file(Path(place), k))
-    finally:
-        Path(name).unlink(missing_ok=True)
+def _compute(task: Callable[[int], Block], k: int, place: Path, origin: str) -> int:
+    block = task(k)
+    with store.writing(_file(place, k), KIND) as file:
+        file.attrs["number"] = k
+        store.write_text(file, "origin", origin)
+        store.write_arrays(file.create_group("arrays"), block)
     return k
 
 
-def _read(path: Path) -> Block:
-    with np.load(path) as data:
-        return {name: data[name] for name in data.files}
+def _read(place: Path, k: int, origin: str) -> Block | None:
+    """Block ``k``, or None if it is to be computed. Raises ValueError if it is there but of another run."""
+    path = _file(place, k)
+    try:
+        with store.reading(path, KIND) as file:
+            whose, number = store.read_text(file, "origin"), int(file.attrs["number"])
+            block = store.read_arrays(file["arrays"])
+    except FileNotFoundError:
+        return None
+    except ValueError as error:
+        log.warning("%s; the block is computed again", error)
+        return None
+    if (whose, number) != (origin, k):
+        raise ValueError(f"{path} is block {number} of {_other(whose == origin)}; delete it or choose another folder")
+    return block
 
 
-def _claim(place: Path, identity: dict[str, Any]) -> None:
-    """Blocks in a folder belong to one run; the file that says so is written whole."""
-    text = json.dumps(identity, sort_keys=True, indent=1)
+def _other(same: bool) -> str:
+    return "the same run under another name" if same else "a run with other settings"
+
+
+def _claim(place: Path, origin: str) -> None:
+    """Blocks in a folder belong to one run; a file in it says which."""
     marker = place / "run.json"
-    if marker.exists():
-        if marker.read_text() != text:
+    try:
+        if json.dumps(store.load_json(marker), sort_keys=True) != origin:
             raise ValueError(f"{place} holds blocks of a run with other settings; delete the folder or choose another")
-        return
-    handle, name = tempfile.mkstemp(dir=place, suffix=".part")
-    with os.fdopen(handle, "w") as file:
-        file.write(text)
-    os.replace(name, marker)
+    except FileNotFoundError:
+        store.save_json(marker, json.loads(origin))

@@ -255,7 +255,7 @@ class Episodes:
             _write_ragged(file, "x", self.xs)
             _write_ragged(file, "u", self.us)
             for name, arrays in (self.extra or {}).items():
-                _write_ragged(file.require_group("extra"), name, arrays)
+                _write_ragged(file.require_group("extra"), store.as_key(name), arrays)
             file.attrs["dt"] = self.dt
             for name in LABELS:
                 store.write_strings(file, name, getattr(self, name))
@@ -264,9 +264,10 @@ class Episodes:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Episodes:
-        """Read saved episodes. Raises one line for files that are missing, truncated or of another kind."""
+        """Read saved episodes. Raises one line for files that are missing, damaged, foreign or of another kind."""
         with store.reading(path, KIND) as file:
-            extra = {name: _read_ragged(file["extra"], name) for name in file["extra"]} if "extra" in file else {}
+            more = file.get("extra", {})
+            extra = {store.from_key(key): _read_ragged(more, key) for key in more}
             return cls(
                 xs=_read_ragged(file, "x"),
                 us=_read_ragged(file, "u"),
@@ -336,14 +337,16 @@ class Episodes:
 
 
 def _write_ragged(group: h5py.Group, name: str, arrays: Sequence[Array]) -> None:
-    part = group.create_group(name)
-    part["lengths"] = np.array([len(a) for a in arrays], dtype=np.int64)
-    part["values"] = np.concatenate(list(arrays))
+    rows = {(a.dtype if a.dtype.kind != "U" else "text", a.shape[1:]) for a in arrays}
+    if len(rows) > 1 or any(a.ndim == 0 for a in arrays):
+        raise ValueError(f"arrays of {name} differ in type or shape of their rows; a file holds rows of one kind")
+    values = np.concatenate(list(arrays))
+    store.write_arrays(group.create_group(name), {"lengths": np.array([len(a) for a in arrays]), "values": values})
 
 
 def _read_ragged(group: h5py.Group, name: str) -> list[Array]:
-    lengths = group[name]["lengths"][()]
-    return np.split(group[name]["values"][()], np.cumsum(lengths)[:-1])
+    part = store.read_arrays(group[name])
+    return np.split(part["values"], np.cumsum(part["lengths"])[:-1])
 
 
 def _output_groups(outputs: Mapping[str, Sequence[int]], n_states: int) -> dict[str, tuple[int, ...]]:

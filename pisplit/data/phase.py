@@ -145,7 +145,7 @@ class PhaseSamples:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> PhaseSamples:
-        """Read saved samples. Raises one line for files that are missing, truncated or of another kind."""
+        """Read saved samples. Raises one line for files that are missing, damaged, foreign or of another kind."""
         with store.reading(path, KIND) as file:
             return cls(
                 x=file["x"][()],

@@ -328,21 +328,20 @@ class Dictionary:
         """Write the compiled dictionary to an HDF5 file, whole or not at all."""
         with store.writing(path, KIND) as file:
             store.write_json(file, "facts", self._facts())
-            store.write_text(file, "state_columns", self._state_part.function.serialize())
-            store.write_text(file, "input_columns", self._input_part.function.serialize())
+            store.write_function(file, "state_columns", self._state_part.function)
+            store.write_function(file, "input_columns", self._input_part.function)
             file.attrs["fingerprint"] = self._fingerprint
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Dictionary:
-        """Read a saved dictionary. Raises one line for files that are missing, truncated or of another kind.
+        """Read a saved dictionary. Raises one line for files that are missing, damaged, foreign or of a newer CasADi.
 
         Its columns are compiled: they keep the names and quantities they were saved with, whatever data it meets.
         """
         with store.reading(path, KIND) as file:
             facts = store.read_json(file, "facts")
-            texts = [store.read_text(file, name) for name in ("state_columns", "input_columns")]
             fingerprint = str(file.attrs["fingerprint"])
-            state, inputs = (ca.Function.deserialize(text) for text in texts)
+            state, inputs = (store.read_function(file, name) for name in ("state_columns", "input_columns"))
         theta = cls.__new__(cls)
         theta.n_states, theta.n_inputs = len(facts["names"]["states"]), len(facts["names"]["inputs"])
         theta.observables, theta._given = (), tuple(facts["given"])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.files import write_text
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.modes import refuse_bilinear
 
@@ -78,21 +77,9 @@ def to_c_header(model: LiftedModel, path: str | os.PathLike[str], name: str = "m
     Histories hold one time after another, oldest first; z_next must not be z.
     Raises ValueError if the name is no C identifier, the folder is missing, or a function cannot be written in C.
     """
-    target = Path(path)
     if not re.fullmatch(r"[A-Za-z]\w*", name):
         raise ValueError(f"name = {name!r}; expected a C identifier")
-    if not target.parent.is_dir():
-        raise ValueError(f"cannot write {target}: folder {target.parent} does not exist; create it first")
-    text = _header(model, name)
-    handle, part = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "w") as file:
-            file.write(text)
-        os.chmod(part, 0o644)
-        os.replace(part, target)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+    write_text(path, _header(model, name))
 
 
 def _header(model: LiftedModel, name: str) -> str:

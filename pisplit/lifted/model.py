@@ -247,7 +247,7 @@ class LiftedModel:
             if self.N is not None:
                 file["N"] = self.N
             for name in _FUNCTIONS:
-                store.write_text(file, name, getattr(self, name).serialize())
+                store.write_function(file, name, getattr(self, name))
             for name in (*_NAMES, *_UNITS):
                 store.write_strings(file, name, getattr(self, name))
             file.attrs["dt"] = self.dt
@@ -257,10 +257,10 @@ class LiftedModel:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> LiftedModel:
-        """Read a saved model. Raises one line for files that are missing, truncated or of another kind."""
+        """Read a saved model. Raises one line for files that are missing, damaged, foreign or of a newer CasADi."""
         with store.reading(path, KIND) as file:
             parts: dict[str, Any] = {name: np.asarray(file[name][()]) for name in _ARRAYS}
-            parts |= {name: ca.Function.deserialize(store.read_text(file, name)) for name in _FUNCTIONS}
+            parts |= {name: store.read_function(file, name) for name in _FUNCTIONS}
             parts |= {name: store.read_strings(file, name) for name in _NAMES}
             parts |= {name: store.read_strings(file, name) for name in _UNITS if name in file}
             parts["N"] = np.asarray(file["N"][()]) if "N" in file else None

@@ -28,7 +28,8 @@ from ablation.methods import methods
 from ablation.scenarios import NOISE_CURVE, PHASE_SAMPLES, ScenarioSource, scenarios
 from common.protocol import HELD_OUT, HISTORY, summary
 from common.report import Report, parser, run
-from common.runs import Cell, Result, run_cells, write_text
+from common.runs import Cell, Result, run_cells
+from pisplit.files import write_text
 from pisplit.models.arm.tendon_arm import TendonArm
 
 MAIN = "paper arm"
@@ -205,7 +206,7 @@ def main() -> None:
     levels = {MAIN: 0.0, "noise": 1.0, **NOISE_CURVE}
     if len({law for law, _, _ in tables["shape"]} & set(levels)) > 1:
         draw_noise(tables, levels, NOISE_PAIRS, arguments.out / "ablation_noise.png")
-    write_text(arguments.out / "ablation.csv", as_csv(tables))
+    write_text(arguments.out / "ablation.csv", as_csv(tables), make_folders=True)
     report.write(arguments.json)
 
 

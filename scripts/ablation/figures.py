@@ -12,6 +12,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from common.drawing import save_figure
 from common.protocol import Summary
 
 Table = dict[tuple[str, str, int], Summary]
@@ -69,9 +70,7 @@ def draw_sizes(table: Table, path: Path, what: str) -> None:
     figure.legend(list(lines.values()), list(lines), **below)
     parts = ("Open-loop roll-outs of 6 s: medians and quartiles", "crosses at the top edge diverge")
     figure.suptitle(("; " if columns > 1 else "\n").join(parts))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path, dpi=110)
 
 
 def _look(label: str) -> dict[str, Any]:
@@ -108,6 +107,4 @@ def draw_noise(tables: Mapping[str, Table], levels: Mapping[str, float], pairs: 
         axis.grid(alpha=0.25)
     np.atleast_1d(axes)[0].legend(fontsize=8, frameon=False)
     figure.suptitle(f"Open-loop roll-outs of 6 s after {pairs} noisy pairs: medians and quartiles")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_figure(figure, path, dpi=130)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,6 +18,7 @@ from common.protocol import HISTORY, Draw, Lifted, Predictor
 from pisplit import Dictionary, Episodes, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.checks import Array
+from pisplit.files import replacing
 from pisplit.models.arm.recording import EQUATIONS, make_episodes
 from pisplit.models.calibration.fit import (
     Calibration,
@@ -126,20 +126,19 @@ class TwinMethod:
         digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:16]
         path = self.folder / f"{digest}.h5"
         if not path.exists():
-            part = self.folder / f"{digest}-{os.getpid()}.h5"
-            make_episodes(
-                calibration.arm,
-                part,
-                self.simulated,
-                STEPS,
-                DT,
-                seed=TWIN_SEED,
-                workers=1,
-                progress=False,
-                law=scenario.law,
-                compiled=True,
-            )
-            os.replace(part, path)
+            with replacing(path) as part:
+                make_episodes(
+                    calibration.arm,
+                    part,
+                    self.simulated,
+                    STEPS,
+                    DT,
+                    seed=TWIN_SEED,
+                    workers=1,
+                    progress=False,
+                    law=scenario.law,
+                    compiled=True,
+                )
         return path
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from tqdm import tqdm
 
+from common.drawing import save_figure
 from common.report import Report
 from pisplit.models import rod
 from pisplit.models.arm.recording import random_displacements
@@ -162,5 +163,4 @@ def draw(points: list[Point], path: Path) -> None:
     axes.set_title("Paper's tendon arm: each line from loose to tight rtol; grey: targets")
     axes.grid(True, which="both", alpha=0.25)
     figure.legend(loc="outside right upper")
-    figure.savefig(path, dpi=140)
-    plt.close(figure)
+    save_figure(figure, path, dpi=140)

@@ -45,6 +45,7 @@ from benchmarks.rod_peers import (
     run_reference,
 )
 from benchmarks.rod_static_peers import Solve, exact_tip, solve_by_collocation, solve_by_pisplit, solve_by_shooting
+from common.drawing import save_figure
 from common.report import Report, parser
 from common.report import run as run_script
 
@@ -202,9 +203,7 @@ def draw(motion: dict[str, list[tuple[Run, float]]], rest: dict[str, list[Solve]
         names = dict.fromkeys(r.code for r in found)
         lines_of(column[1], {c: [(1e3 * r.seconds, r.error) for r in found if r.code == c] for c in names})
         column[1].set(title=f"{name} rod at rest", xlabel="CPU time of a solve (ms)", ylabel="tip error / L")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save_figure(figure, path, dpi=120)
 
 
 def main() -> None:

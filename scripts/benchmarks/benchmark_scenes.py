@@ -27,6 +27,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
+from common.drawing import save_figure
 from common.report import Report, parser, run
 from pisplit.models import rod
 from pisplit.models.arm.tendon_arm import TendonArm
@@ -165,9 +166,7 @@ def draw(rows: dict[str, Row], path: Path) -> None:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="x", alpha=0.25)
         axis.set_axisbelow(True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_figure(figure, path, dpi=130)
 
 
 def paper_arm(report: Report, compiled: bool, quick: bool, seed: int) -> list[str]:

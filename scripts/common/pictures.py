@@ -14,7 +14,9 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from common.drawing import save_figure
 from pisplit.controllers import LoopLog
+from pisplit.files import replacing
 
 Array = NDArray[np.float64]
 
@@ -46,8 +48,7 @@ def draw_tracking(runs: dict[str, dict[str, LoopLog]], path: Path) -> None:
         row[0].legend(loc="best")
         row[1].legend(loc="best")
         row[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
-    figure.savefig(path)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def tip_error(log: LoopLog) -> Array:
@@ -86,8 +87,7 @@ def draw_shapes(log: LoopLog, stations: int, path: Path, title: str) -> None:
     axis.legend(loc="upper left")
     scale = plt.cm.ScalarMappable(cmap=colours, norm=plt.Normalize(0.0, float(log.t[-1])))
     figure.colorbar(scale, ax=axis, shrink=0.6, label="time (s)")
-    figure.savefig(path)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 80) -> None:
@@ -112,9 +112,8 @@ def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 8
         bar.update()
 
     film = FuncAnimation(figure, lambda i: show(int(chosen[i])), frames=frames, init_func=lambda: None)
-    part = path.with_name(f".{path.name}")
-    film.save(part, writer=PillowWriter(fps=15), dpi=80)
-    part.replace(path)
+    with replacing(path) as part:
+        film.save(part, writer=PillowWriter(fps=15), dpi=80)
     bar.close()
     plt.close(figure)
 

@@ -7,13 +7,14 @@ import json
 import os
 import platform
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
 from typing import Any
+
+from pisplit.files import write_text
 
 #: A target is a bound on the measured value.
 Target = tuple[str, float]
@@ -88,15 +89,7 @@ class Report:
             "arguments": self.arguments,
         }
         text = json.dumps(content, indent=1, allow_nan=False)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        try:
-            with os.fdopen(handle, "w") as file:
-                file.write(text + "\n")
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
+        write_text(path, text + "\n", make_folders=True)
 
 
 def _version(name: str) -> str:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 import threading
 import time
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -22,6 +19,9 @@ from tqdm import tqdm
 from common.data import PaperData
 from common.protocol import Draw, Errors, Method, all_pairs, evaluate, random_pairs
 from pisplit import PhaseSamples
+from pisplit.data import store
+
+KIND = "pisplit/cell"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Cell:
 
     def path(self, folder: Path) -> Path:
         """File of its errors."""
-        return folder / self.law / self.method / f"{self.n1}-{self.n2}-{self.seed}.npz"
+        return folder / self.law / self.method / f"{self.n1}-{self.n2}-{self.seed}.h5"
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class Chain:
         """Fit and evaluate what is not on disk; returns the number of cells."""
         data = _data(self.source)
         for cell in self.cells:
-            if not zipfile.is_zipfile(cell.path(self.folder)):  # a truncated file is none
-                _write(cell.path(self.folder), run_cell(cell, self.method, data))
+            if not _finished(cell, self.folder):
+                _write(cell, self.folder, run_cell(cell, self.method, data))
         return len(self.cells)
 
 
@@ -110,11 +110,11 @@ def run_cells(
         groups.setdefault((cell.law, cell.method, cell.seed), []).append(cell)
     chains = [Chain(sources[law], by_name[name], tuple(group), folder) for (law, name, _), group in groups.items()]
     chains.sort(key=lambda chain: -sum(cell.n1 for cell in chain.cells))  # long ones first
-    todo = [c for c in chains if not all(zipfile.is_zipfile(cell.path(folder)) for cell in c.cells)]
+    todo = [c for c in chains if not all(_finished(cell, folder) for cell in c.cells)]
     paths = [cell.path(folder) for chain in todo for cell in chain.cells]
     with tqdm(total=len(paths), desc=folder.name, disable=not progress, unit="fit") as bar, _counting(paths, bar):
         joblib.Parallel(n_jobs=workers)(joblib.delayed(chain)() for chain in todo)
-    return {cell: read(cell.path(folder)) for cell in cells}
+    return {cell: read(cell, folder) for cell in cells}
 
 
 @contextmanager
@@ -157,46 +157,44 @@ def largest(data: PaperData) -> int:
 
 
 def claim(folder: Path, settings: Mapping[str, Any]) -> None:
-    """A folder belongs to runs of one kind of settings."""
-    text = json.dumps(settings, sort_keys=True, indent=1)
+    """A folder belongs to runs of one kind of settings. Raises ValueError if it holds others."""
     marker = folder / "run.json"
-    if marker.exists():
-        if marker.read_text() != text:
+    try:
+        if store.load_json(marker) != json.loads(json.dumps(settings)):
             raise ValueError(f"{folder} holds results of other settings; delete it or choose another --out")
-        return
-    write_text(marker, text)
+    except FileNotFoundError:
+        store.save_json(marker, settings)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+def read(cell: Cell, folder: Path) -> Result:
+    """Result of a finished cell. Raises FileNotFoundError if there is none, ValueError if damaged or another's."""
+    with store.reading(cell.path(folder), KIND) as file:
+        if store.read_json(file, "cell") != asdict(cell):
+            raise ValueError("this is the result of another cell; delete it")
+        found = store.read_arrays(file["errors"])
+        errors = Errors(found["shape"].astype(float), found["velocity"].astype(float), found["diverged_at"])
+        return Result(errors, float(file.attrs["seconds"]), store.read_json(file, "facts"))
+
+
+def _finished(cell: Cell, folder: Path) -> bool:
+    """Whether the result of a cell is there and whole."""
+    try:
+        read(cell, folder)
+    except (FileNotFoundError, ValueError):
+        return False
+    return True
+
+
+def _write(cell: Cell, folder: Path, result: Result) -> None:
+    path = cell.path(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    with os.fdopen(handle, "w") as file:
-        file.write(text)
-    os.replace(name, path)
-
-
-def read(path: Path) -> Result:
-    """Result of a finished cell."""
-    with np.load(path) as file:
-        errors = Errors(file["shape"].astype(float), file["velocity"].astype(float), file["diverged_at"])
-        return Result(errors, float(file["seconds"]), json.loads(str(file["facts"])))
-
-
-def _write(path: Path, result: Result) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
     arrays: dict[str, Any] = asdict(result.errors)
-    with np.errstate(over="ignore"), os.fdopen(handle, "wb") as file:
-        np.savez(
-            file,
-            shape=arrays["shape"].astype(np.float32),
-            velocity=arrays["velocity"].astype(np.float32),
-            diverged_at=arrays["diverged_at"],
-            seconds=result.seconds,
-            facts=json.dumps(result.facts),
-        )
-    os.replace(name, path)
+    with np.errstate(over="ignore"), store.writing(path, KIND) as file:
+        half = {name: arrays[name].astype(np.float32) for name in ("shape", "velocity")}
+        store.write_arrays(file.create_group("errors"), half | {"diverged_at": arrays["diverged_at"]})
+        store.write_json(file, "cell", asdict(cell))
+        file.attrs["seconds"] = result.seconds
+        store.write_json(file, "facts", dict(result.facts))
 
 
 def _refused(data: PaperData) -> Errors:

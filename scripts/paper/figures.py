@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from paper.tables import Row
+from pisplit.files import replacing
 
 COLOURS = ("#d95f02", "#7570b3", "#1b6ca8", "#1b9e77", "#e7298a", "#66a61e", "#a6761d", "#666666")
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
@@ -152,10 +151,7 @@ def _size(n: int) -> str:
 
 
 def _save(figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     for suffix in (".png", ".pdf"):
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=suffix)
-        os.close(handle)
-        figure.savefig(name)
-        os.replace(name, path.with_suffix(suffix))
+        with replacing(path.with_suffix(suffix), make_folders=True) as part:
+            figure.savefig(part)
     plt.close(figure)

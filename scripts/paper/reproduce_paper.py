@@ -26,12 +26,13 @@ import numpy as np
 from common.data import PaperData, Scale, Source
 from common.protocol import Draw, Method, Predictor
 from common.report import Report, parser, run
-from common.runs import Cell, curve_cells, largest, run_cells, write_text
+from common.runs import Cell, curve_cells, largest, run_cells
 from paper.figures import draw_panels
 from paper.methods import Choices, paper_methods
 from paper.reasons import reasons
 from paper.tables import Row, finite, printed, table, write_csv
 from paper.variations import VARIATIONS, vary
+from pisplit.files import write_text
 from pisplit.models.arm.recording import EQUATIONS, LAWS
 from pisplit.models.arm.tendon_arm import TendonArm
 
@@ -152,7 +153,7 @@ def _run_protocol(
     for law in given.laws:
         title = f"{protocol.title}; inputs: {law}; {plan.scale.test} test episodes"
         draw_panels(rows, law, names, protocol.drawn, title, folder / f"figure-{law}.png", protocol.d2)
-    write_text(folder / "errors.json", json.dumps(finite(rows), indent=1))
+    write_text(folder / "errors.json", json.dumps(finite(rows), indent=1), make_folders=True)
     _record(report, rows, f"{name}, ")
 
 

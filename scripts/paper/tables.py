@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from common.protocol import Errors, summary
-from common.runs import Cell, Result, write_text
+from common.runs import Cell, Result
+from pisplit.files import write_text
 
 COLUMNS = (
     "law",
@@ -68,7 +69,7 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    write_text(path, text.getvalue())
+    write_text(path, text.getvalue(), make_folders=True)
 
 
 def finite(rows: Sequence[Row]) -> list[Row]:

@@ -30,7 +30,9 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FormatStrFormatter
 
+from common.drawing import save_figure
 from common.report import Report, parser, run
+from pisplit.files import write_text
 from stress.cases import sweeps, work
 from stress.watched import Finished, run_watched
 
@@ -86,11 +88,7 @@ def draw(rows: list[Row], path: Path) -> None:
     for axis, (names, (title, value, label)) in zip(axes[:, 1:].ravel(), PANELS.items(), strict=True):
         _panel(axis, rows, names, value)
         axis.set(xlabel=label, title=title)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{os.getpid()}-{path.name}")
-    figure.savefig(part, dpi=110)
-    os.replace(part, path)
-    plt.close(figure)
+    save_figure(figure, path, dpi=110)
 
 
 #: Sweeps of a panel; its title, what they vary, and the label of that.
@@ -209,7 +207,7 @@ def main() -> None:
     draw(rows, arguments.out / "stress_rod.png")
     report.write(arguments.json)
     if arguments.json is not None:
-        _write(arguments.json.with_name(f"{arguments.json.stem}_cases.json"), rows)
+        write_text(arguments.json.with_name(f"{arguments.json.stem}_cases.json"), json.dumps(rows, indent=1))
     finished.remove()
 
 
@@ -226,12 +224,6 @@ def _report(rows: list[Row], arguments: argparse.Namespace) -> Report:
     hundred = [row["outcome"] == "ok" for row in rows if row["kind"] == "cold" and row["load"] == 100.0]
     report.figure("cold F L^2/EI = 100 solved", 100.0 * float(np.mean(hundred)), "%", (">=", 100.0))
     return report
-
-
-def _write(path: Path, rows: list[Row]) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(json.dumps(rows, indent=1))
-    os.replace(part, path)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from pisplit.data import store
+
 Case = dict[str, Any]
 Outcome = dict[str, Any]
 #: Seconds between two writes of what is finished.
@@ -33,7 +35,7 @@ class Finished:
         self._outcomes: dict[str, Outcome] = {}
         self._written, self._lock = time.monotonic(), threading.Lock()
         if path.exists():
-            kept = json.loads(path.read_text())
+            kept = store.load_json(path)
             if kept["arguments"] == arguments:
                 self._outcomes = kept["outcomes"]
 
@@ -54,10 +56,7 @@ class Finished:
         self._path.unlink(missing_ok=True)
 
     def _write(self) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        part = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-        part.write_text(json.dumps({"arguments": self._arguments, "outcomes": self._outcomes}))
-        os.replace(part, self._path)
+        store.save_json(self._path, {"arguments": self._arguments, "outcomes": self._outcomes})
 
 
 def _key(case: Case) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import dedent, indent
@@ -12,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit.checks import count, positive
+from pisplit.files import write_text
 from pisplit.models.rod.analysis.fields import LAYOUT, UNITS
 
 if TYPE_CHECKING:
@@ -141,8 +141,10 @@ def codegen(scene: Scene, path: str | Path, dt: float, substeps: int = 8, statio
         generator.add(entry.function)
     header = source.with_suffix(".h")
     body = "\n".join(entry.definition(prefix) for entry in entries)
-    _write(source, f'{generator.dump()}\n#include "{header.name}"\n\n{_rest(scene, prefix)}\n{body}')
-    _write(header, _header(scene, prefix, entries, dt, substeps))
+    write_text(
+        source, f'{generator.dump()}\n#include "{header.name}"\n\n{_rest(scene, prefix)}\n{body}', make_folders=True
+    )
+    write_text(header, _header(scene, prefix, entries, dt, substeps), make_folders=True)
     return Exported(source, header)
 
 
@@ -234,11 +236,3 @@ def _header(scene: Scene, prefix: str, entries: list[_Entry], dt: float, substep
         "#ifdef __cplusplus\n}\n#endif\n#endif\n",
     ]
     return "\n".join(parts)
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(text)
-    os.replace(part, path)

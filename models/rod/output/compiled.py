@@ -16,6 +16,7 @@ from pathlib import Path
 
 import casadi as ca
 
+from pisplit.files import replacing
 from pisplit.models.rod.equations.residuals import THROUGH_JACOBIAN
 from pisplit.models.rod.scene import Scene
 
@@ -142,12 +143,17 @@ def _library(source: str, compiler: str, folder: Path) -> Path:
 
 
 def _intact(path: Path) -> bool:
-    """Whether a library ends with the digest of its content: loading a truncated one would kill the process."""
+    """Whether a library ends with its seal: loading a truncated one would kill the process."""
     try:
         content = path.read_bytes()
     except OSError:
         return False
-    return hashlib.sha256(content[:-_DIGEST]).digest() == content[-_DIGEST:]
+    return _seal(content[:-_DIGEST], path) == content[-_DIGEST:]
+
+
+def _seal(content: bytes, path: Path) -> bytes:
+    """Digest of a library and of its name, which is the digest of its source: that of another scene does not pass."""
+    return hashlib.sha256(path.name.encode() + content).digest()
 
 
 def _build(source: str, compiler: str, path: Path) -> None:
@@ -162,11 +168,11 @@ def _build(source: str, compiler: str, path: Path) -> None:
                 reason = (done.stderr.strip().splitlines() or ["no message"])[0]
                 raise NoMachineCode(f"{compiler} failed with status {done.returncode}: {reason}")
             content = library.read_bytes()
-            library.write_bytes(content + hashlib.sha256(content).digest())
-            os.replace(library, path)
+        with replacing(path) as part:
+            part.write_bytes(content + _seal(content, path))
     except subprocess.TimeoutExpired as error:
         raise NoMachineCode(f"{compiler} took longer than {COMPILER_PATIENCE:g} s") from error
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise NoMachineCode(f"machine code could not be written: {error}") from error
 
 

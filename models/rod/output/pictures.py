@@ -6,7 +6,6 @@ drawn, not before.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array
+from pisplit.files import replacing
 from pisplit.models.rod.terms.routing import sample
 from pisplit.models.rod.terms.tendons import Tendons
 
@@ -202,10 +202,8 @@ def animate_arm(trajectory: Trajectory, path: str | Path, fps: int = 20, title: 
 
     film = FuncAnimation(figure, show, frames=len(frames), init_func=lambda: None)
     writer = (PillowWriter if target.suffix == ".gif" else FFMpegWriter)(fps=fps)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{os.getpid()}-{target.name}")
-    film.save(part, writer=writer, dpi=80)
-    os.replace(part, target)
+    with replacing(target, make_folders=True) as part:
+        film.save(part, writer=writer, dpi=80)
     return target
 
 
