@@ -205,4 +205,4 @@ def test_a_relative_folder_is_that_of_the_caller(tmp_path: Path, monkeypatch: py
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
         run(counted(tmp_path / "log"), Path("parts"), 2, 2)
-        assert sorted(p.name for p in (tmp_path / name / "parts").glob("*.npz")) == ["000000.npz", "000001.npz"]
+        assert sorted(p.name for p in (tmp_path / name / "parts").glob("[0-9]*.h5")) == ["000000.h5", "000001.h5"]
