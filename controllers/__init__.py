@@ -2,7 +2,8 @@
 
 from pisplit.controllers import references
 from pisplit.controllers.feedforward import FeedForward
-from pisplit.controllers.loop.loop import ClosedLoop, LoopLog
+from pisplit.controllers.loop.log import LoopLog
+from pisplit.controllers.loop.loop import ClosedLoop
 from pisplit.controllers.loop.plant import Plant, PlantStep
 from pisplit.controllers.loop.tracking import Controller, Move
 from pisplit.controllers.mpc.condense import Condensed, condense

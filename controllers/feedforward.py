@@ -18,8 +18,11 @@ class FeedForward:
     """Applies u = inverse(y_ref) to the reference that the coming step ends at, inside box and rate limits.
 
     ``inverse``: y_ref (p,) -> u (m,), e.g. the inverse statics of the arm; it receives NaN in outputs that the
-    reference leaves free. ``model`` gives sizes, time step and output names only: nothing is predicted and nothing is
-    fed back. Other arguments as for ``MPC``. A result that is not finite holds the last input and is flagged.
+    reference leaves free. ``model`` gives sizes, time step and names only: nothing is predicted, nothing is fed back.
+    u_min, u_max, du_max: numbers or (m,), in input units, du_max per step. ``track``: an output name of the model, or a
+    list of state names or indices; ``axes`` picks coordinates of it in any order. ``dt``: if given, must be the
+    model's. A result that is not finite holds the last input and is flagged. Raises ValueError on arguments that do not
+    fit the model. Can be pickled and copied if ``inverse`` can.
     """
 
     def __init__(
@@ -38,7 +41,8 @@ class FeedForward:
         self.model = model
         self.horizon = 1
         check_dt(model, dt)
-        self.track, self.axes, self.tracked = tracked_states(model, track, axes)
+        target = tracked_states(model, track, axes)
+        self.track, self.group, self.axes, self.tracked = target.name, target.group, target.axes, target.states
         self._inverse = inverse
         self._limits = input_limits(u_min, u_max, du_max, model.n_inputs)
         self._u = np.clip(np.zeros(model.n_inputs), self.u_min, self.u_max)
@@ -59,15 +63,23 @@ class FeedForward:
         return self._limits.du_max
 
     def reset(self, u0: ArrayLike | None = None) -> None:
-        """Start anew from the input u0 (m,), zeros if not given."""
+        """Start anew from the input ``u0`` (m,), zeros if not given."""
         self._u = start_input(u0, self.u_min, self.u_max)
 
+    def snapshot(self) -> Array:
+        """The last input (m,), all that the next step depends on beside the arguments."""
+        return self._u.copy()
+
+    def restore(self, state: ArrayLike) -> None:
+        """Go on from the ``state`` (m,) of a ``snapshot``; raises ValueError for another shape."""
+        self._u = finite_array(state, "state", self._u.shape).copy()
+
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
-        """The move for the reference (1, p) of step k+1; the measured state (n,) is only checked."""
+        """The move for the ``reference_window`` (1, p) of step k+1; ``x_measured`` (n,) is only checked."""
         wall, cpu = time.perf_counter(), time.thread_time()
         window = checked_window(reference_window, 1, len(self.tracked))
         finite_array(x_measured, "x_measured", (self.model.n_states,))
-        wanted = np.asarray(self._inverse(window[0]), dtype=np.float64)
+        wanted = np.array(self._inverse(window[0].copy()), dtype=np.float64)
         if wanted.shape != self._u.shape:
             raise ValueError(f"inverse returned shape {wanted.shape}; expected ({len(self._u)},)")
         found = bool(np.isfinite(wanted).all())

@@ -29,7 +29,7 @@ STATIONS = 6
 TEST_EPISODES = 4
 HORIZON = 20
 #: Weights of the input rate among which the tuning run chooses, per model.
-RATE_WEIGHTS = (1e4, 1e5)
+RATE_WEIGHTS = (0.02, 0.2)
 #: Models for control: the largest penalty that costs at most 30 % of held-out roll-out error.
 CV_TOLERANCE = 0.3
 
@@ -100,7 +100,10 @@ def main() -> None:
 
     def loop(controller: MPC | FeedForward, reference: references.Reference, steps: int) -> LoopLog:
         run = ClosedLoop(plant=simulator, controller=controller)
-        return run.run(reference, steps, u0=arm.rest_inputs, progress=False)
+        log = run.run(reference, steps, u0=arm.rest_inputs, progress=False)
+        if log.interrupted:
+            raise KeyboardInterrupt
+        return log
 
     controllers: dict[str, MPC | FeedForward] = {
         "feed-forward": FeedForward(table.inverse, models["L-EDMDc"].lifted, **limits(arm))

@@ -76,7 +76,7 @@ def test_moves_solve_the_stated_problem(seed: int, options: dict[str, float]) ->
     H, limits = 8, (-0.01, 0.012, 0.004)
     x, r = 0.03 * rng.standard_normal(6), 0.1 * rng.standard_normal(3) + 0.02 * rng.standard_normal((H, 3))
     u0 = model.input_offset
-    mpc = MPC(model, H, *limits, rate_weight=1e4, input_weight=10.0, qp=EXACT, **options)
+    mpc = MPC(model, H, *limits, rate_weight=1e-2, input_weight=1e-5, qp=EXACT, **options)
     mpc.reset(u0)
     move = mpc.step(x, r)
     U, y = optimal_inputs(model, x, r, u0, limits, **options)
@@ -229,7 +229,7 @@ def test_growth_over_the_horizon_is_warned_of() -> None:
         ({"du_max": np.nan}, "du_max has 3 NaN"),
         ({"u_min": 0.005}, "contains no input of the training data"),
         ({"track": "elbow"}, "'elbow' names no output of the model; it has 'tip'"),
-        ({"track": (0, 9)}, "expected state indices from 0 to 5"),
+        ({"track": (0, 9)}, "expected state names, or indices from 0 to 5"),
         ({"axes": (0, 3)}, "axes"),
         ({"dt": 0.05}, "dt = 0.05 s, but the model steps 0.03 s"),
         ({"output_weight": [1.0, 2.0]}, "output_weight"),

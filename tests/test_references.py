@@ -63,7 +63,7 @@ def test_a_sequence_hands_over_the_end_of_each_segment() -> None:
     reference = references.sequence(
         (references.waypoints([[0.1, 0.0, 0.0]], [1.0]), 2.0),
         (references.circle(0.05, 4.0, approach=1.0), 4.0),
-        (references.hold(), np.inf),
+        (references.constant(), np.inf),
     ).starting_at([0.0, 0.0, 0.3])
     np.testing.assert_allclose(reference([1.5, 2.0])[:, :2], [[0.1, 0.0], [0.1, 0.0]], atol=1e-12)
     y = reference(np.linspace(3.0, 5.9, 50))
@@ -87,11 +87,11 @@ def test_samples_are_met_exactly_and_joined_linearly() -> None:
         (lambda: references.circle(1.0, 2.0, center=(0.0, 0.0, 0.0)), "center has shape"),
         (lambda: references.setpoint([[1.0], [2.0]], [0.0]), "times has shape"),
         (lambda: references.waypoints([[1.0], [2.0]], [1.0, 1.0]), "increasing"),
-        (lambda: references.hold([np.inf, 0.0]), "infinite"),
+        (lambda: references.constant([np.inf, 0.0]), "infinite"),
         (lambda: references.sequence(), "empty"),
-        (lambda: references.sequence((references.hold(), 1.0), (references.hold(width=2), 1.0)), "differ"),
+        (lambda: references.sequence((references.constant(), 1.0), (references.constant(width=2), 1.0)), "differ"),
         (lambda: references.from_array([[1.0]], 0.0), "dt = 0 s"),
-        (lambda: references.hold().approached(0.0), "duration = 0"),
+        (lambda: references.constant().approached(0.0), "duration = 0"),
     ],
 )
 def test_wrong_arguments_raise(make: object, message: str) -> None:

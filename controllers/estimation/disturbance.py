@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,12 +11,22 @@ from pisplit.checks import Array, finite_array, finite_number
 from pisplit.dictionary.products import Transition
 
 
+@dataclass(frozen=True)
+class EstimatorState:
+    """The estimate w (M,) and the lifted state (M,) predicted for the next measurement, None before the first."""
+
+    disturbance: Array
+    predicted: Array | None
+
+
 class DisturbanceEstimator:
     """Constant disturbance w of z+ = A z + B phi + c + w, from measured states: w += gain (z - z_predicted).
 
     At rest the residual can vanish only when the disturbed model has the plant's own equilibrium, so an MPC that
     predicts with w tracks constant references without offset: the disturbance sits where the residual is measured, in
-    the lifted state, and not on the output. Gain 0 switches it off, 1 is a dead-beat observer that amplifies noise.
+    the lifted state, and not on the output. ``gain`` 0 switches it off, 1 is a dead-beat observer that amplifies noise.
+
+    A (M, M), B (M, P) and c (M,) are the model's. Raises ValueError for other shapes and a gain outside 0 .. 1.
 
     Source: Pannocchia and Rawlings, AIChE Journal 49 (2003), disturbance models for offset-free MPC.
     """
@@ -39,6 +51,15 @@ class DisturbanceEstimator:
         self._w = np.zeros(len(self._c))
         self._predicted: Array | None = None
 
+    def snapshot(self) -> EstimatorState:
+        """The state from which ``restore`` goes on."""
+        return EstimatorState(self._w.copy(), None if self._predicted is None else self._predicted.copy())
+
+    def restore(self, state: EstimatorState) -> None:
+        """Go on from a ``state`` of an estimator of the same size."""
+        self._w = state.disturbance.copy()
+        self._predicted = None if state.predicted is None else state.predicted.copy()
+
     def update(self, z: ArrayLike) -> Array:
         """Correct the estimate with the measured lifted state z (M,) and return it; without a prediction, keep it."""
         if self._predicted is not None and self.gain > 0.0:
@@ -49,7 +70,7 @@ class DisturbanceEstimator:
         return self._w
 
     def predict(self, z: Array, features: Array, bilinear: Array | None = None) -> Array:
-        """The next lifted state (M,) under the applied input features (P,); ``update`` compares with it.
+        """The lifted state (M,) after z (M,) under the applied input ``features`` (P,); ``update`` compares with it.
 
         ``bilinear`` (M,): what products of inputs and lifted states add, in a bilinear model.
         """

@@ -1,6 +1,7 @@
 """A controller in closed loop with a plant, and the log of it."""
 
-from pisplit.controllers.loop.loop import ClosedLoop, LoopLog
+from pisplit.controllers.loop.log import LoopLog
+from pisplit.controllers.loop.loop import ClosedLoop
 from pisplit.controllers.loop.plant import Plant, PlantStep
 from pisplit.controllers.loop.tracking import Controller, Move
 

@@ -36,7 +36,13 @@ class Measurement(Protocol):
 
 
 class Plant(Protocol):
-    """A system that is stepped with inputs (n_inputs,) over ``dt`` seconds and measures states (n_states,)."""
+    """A system that is stepped with inputs (n_inputs,) over ``dt`` seconds and measures states (n_states,).
+
+    Optional: ``state_names``, ``input_names``, ``state_units``, ``input_units``, tuples of texts by which a closed loop
+    matches the plant with a model whatever the order of its columns; ``snapshot()``, whose answer tells all that the
+    next steps depend on, and ``restore(snapshot)``, by which a loop goes on from there to the last bit.
+    Arrays that it returns are copied, and those it is given are its own: it may use one buffer for all steps.
+    """
 
     @property
     def dt(self) -> float:
@@ -51,7 +57,7 @@ class Plant(Protocol):
         """Number of measured states."""
 
     def reset(self, u0: ArrayLike | None = None) -> Array:
-        """Back to rest, in equilibrium under u0 (zeros if not given); returns the measured state (n_states,)."""
+        """Back to rest, in equilibrium under ``u0`` (n_inputs,), zeros if not given; the measured state (n_states,)."""
 
     def step(self, u: Array) -> Measurement:
-        """Apply u (n_inputs,) over one time step."""
+        """Apply ``u`` (n_inputs,) over one time step."""

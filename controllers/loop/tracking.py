@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, finite_array
+from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.lifted.model import LiftedModel
 
 
@@ -40,11 +41,15 @@ class Controller(Protocol):
 
     @property
     def track(self) -> str:
-        """Name of the tracked outputs."""
+        """Name of the tracked group of outputs, "" for a list of states."""
+
+    @property
+    def group(self) -> tuple[int, ...]:
+        """Indices of the states of the whole group."""
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """Which coordinates of the named group are tracked."""
+        """Which coordinates of the group are tracked, in their order."""
 
     @property
     def tracked(self) -> tuple[int, ...]:
@@ -70,41 +75,78 @@ class Controller(Protocol):
         """Start anew from rest under u0 (m,)."""
 
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
-        """The move for the measured state (n,) and the reference (horizon, p) of the coming steps."""
+        """The move for ``x_measured`` (n,) and ``reference_window`` (horizon, p) of the coming steps."""
 
 
-def tracked_states(
-    model: LiftedModel, track: str | Sequence[int], axes: Sequence[int] | None
-) -> tuple[str, tuple[int, ...], tuple[int, ...]]:
-    """Name, axes and state indices of the tracked outputs: a named group of the model or a list of states.
+@dataclass(frozen=True)
+class Target:
+    """What is tracked: ``axes`` of a ``group`` of states, in the order of ``axes``.
 
-    ``axes`` picks coordinates within the group, e.g. (0, 1) for x and y of a tip. Raises ValueError otherwise.
+    ``name``: of the group in the model, "" for a list of states.
     """
+
+    name: str
+    group: tuple[int, ...]
+    axes: tuple[int, ...]
+
+    @property
+    def states(self) -> tuple[int, ...]:
+        """Indices of the tracked states."""
+        return tuple(self.group[i] for i in self.axes)
+
+
+def tracked_states(model: LiftedModel, track: str | Sequence[int | str], axes: Sequence[int] | None) -> Target:
+    """The tracked states: a named group of the ``model``, or a list of state names or indices, given by ``track``.
+
+    ``axes`` picks coordinates within the group in any order, e.g. (0, 1) for x and y of a tip. Raises ValueError
+    otherwise, and for a model without inputs: nothing could be done to track.
+    """
+    if model.n_inputs == 0:
+        raise ValueError("the model has no inputs: nothing can be controlled; fit it to recordings with inputs")
     if isinstance(track, str):
         if track not in model.outputs:
             known = ", ".join(map(repr, model.outputs)) or "none"
             raise ValueError(f"track = {track!r} names no output of the model; it has {known} (or give state indices)")
-        name, group = track, tuple(model.outputs[track])
+        name, group = track, tuple(int(i) for i in model.outputs[track])
     else:
-        name, group = "states", tuple(int(i) for i in track)
-    chosen = tuple(range(len(group))) if axes is None else tuple(int(i) for i in axes)
-    if not chosen or any(not 0 <= i < len(group) for i in chosen) or len(set(chosen)) < len(chosen):
-        raise ValueError(f"axes = {axes} of {name!r}; expected different numbers from 0 to {len(group) - 1}")
-    states = tuple(group[i] for i in chosen)
-    if any(not 0 <= i < model.n_states for i in states):
-        raise ValueError(f"track = {track}; expected state indices from 0 to {model.n_states - 1}")
-    return name, chosen, states
+        name, group = "", tuple(_state(model, entry) for entry in track)
+    if axes is None:
+        chosen = tuple(range(len(group)))
+    else:
+        chosen = tuple(count(i, "axes", 0) for i in axes)
+    if not chosen or any(i >= len(group) for i in chosen) or len(set(chosen)) < len(chosen):
+        raise ValueError(f"axes = {axes} of {name or track!r}; expected different numbers from 0 to {len(group) - 1}")
+    target = Target(name, group, chosen)
+    if len(set(target.states)) < len(chosen):
+        raise ValueError(f"track = {track!r} names a state twice; give every state once")
+    return target
+
+
+def _state(model: LiftedModel, entry: int | str) -> int:
+    """Index of a state given by name or index."""
+    if isinstance(entry, str):
+        if entry not in model.state_names:
+            near = ", ".join(get_close_matches(entry, model.state_names)) or ", ".join(model.state_names[:6])
+            raise ValueError(f"track names {entry!r}, which is no state of the model; near it: {near}")
+        return model.state_names.index(entry)
+    i = count(entry, "track", 0)
+    if i >= model.n_states:
+        raise ValueError(f"track = {i}; expected state names, or indices from 0 to {model.n_states - 1}")
+    return i
 
 
 def check_dt(model: LiftedModel, dt: float | None) -> None:
-    """Raise ValueError if a wanted time step is not the model's."""
+    """Raise ValueError if a wanted time step ``dt`` [s] is not that of the ``model``."""
     if dt is not None and not np.isclose(dt, model.dt, rtol=1e-6, atol=0.0):
         raise ValueError(f"dt = {dt:g} s, but the model steps {model.dt:g} s; fit a model at the control interval")
 
 
 def checked_window(window: ArrayLike, horizon: int, n_outputs: int) -> Array:
-    """The window as float (H, p); NaN entries are free outputs. Raises ValueError on another shape or infinities."""
-    r = np.asarray(window, dtype=np.float64)
+    """The ``window`` as float (``horizon``, ``n_outputs``); NaN entries are free outputs.
+
+    Raises ValueError on another shape or infinities.
+    """
+    r = real_array(window, "reference_window")
     if r.shape != (horizon, n_outputs):
         raise ValueError(f"reference_window has shape {r.shape}; expected ({horizon}, {n_outputs}): steps k+1 .. k+H")
     if np.isinf(r).any():
@@ -113,7 +155,7 @@ def checked_window(window: ArrayLike, horizon: int, n_outputs: int) -> Array:
 
 
 def start_input(u0: ArrayLike | None, u_min: Array, u_max: Array) -> Array:
-    """u0 (m,), zeros if not given. Raises ValueError outside the box."""
+    """``u0`` (m,), zeros if not given. Raises ValueError outside the box ``u_min`` .. ``u_max`` (m,)."""
     u = np.zeros(len(u_min)) if u0 is None else finite_array(u0, "u0", (len(u_min),)).copy()
     if (u < u_min).any() or (u > u_max).any():
         raise ValueError(f"u0 = {u} is outside u_min .. u_max; start the loop from an input inside the box")

@@ -77,6 +77,11 @@ def input_limits(
 
     Raises ValueError on wrong lengths, an empty box, du_max <= 0, or a box that the plane offset + span(basis) misses.
     """
+    for given, name, wanted in ((u_min, "u_min", "lower limits"), (u_max, "u_max", "upper limits")):
+        if given is None:
+            raise ValueError(f"{name} = None; give the {wanted} of the inputs, a number or {n_inputs}")
+    if du_max is None:
+        raise ValueError("du_max = None; give the largest change per step, u_max - u_min where there is no limit")
     low, high, rate = (
         _each_input(value, name, n_inputs) for value, name in ((u_min, "u_min"), (u_max, "u_max"), (du_max, "du_max"))
     )
@@ -101,4 +106,6 @@ def input_limits(
 def _each_input(value: ArrayLike, name: str, n_inputs: int) -> Array:
     if np.ndim(value) == 0:
         value = np.full(n_inputs, value)
-    return finite_array(value, name, (n_inputs,)).copy()
+    limit = finite_array(value, name, (n_inputs,)).copy()
+    limit.setflags(write=False)  # controllers hand it out
+    return limit

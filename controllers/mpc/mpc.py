@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import ArpackError, eigs
 
-from pisplit.checks import Array, count, finite_array, non_negative
-from pisplit.controllers.estimation.disturbance import DisturbanceEstimator
+from pisplit.checks import Array, count, finite_array, non_negative, positive, real_array
+from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
 from pisplit.controllers.loop.history import History
 from pisplit.controllers.loop.tracking import Move, check_dt, checked_window, start_input, tracked_states
 from pisplit.controllers.mpc.condense import condense
 from pisplit.controllers.mpc.limits import input_limits
-from pisplit.controllers.mpc.problem import TrackingProblem, Weights
+from pisplit.controllers.mpc.problem import ProblemState, TrackingProblem, Weights
 from pisplit.controllers.mpc.qp import QPSettings
 from pisplit.controllers.mpc.relinearise import AlongPlan
 from pisplit.lifted.model import LiftedModel
@@ -24,26 +26,43 @@ from pisplit.lifted.model import LiftedModel
 GROWTH_LIMIT = 100.0
 
 
+@dataclass(frozen=True, eq=False)
+class MPCState:
+    """State of an MPC between two steps: delays, last plan (None before the first), disturbance estimate, solver."""
+
+    history: History
+    plan: Array | None
+    estimator: EstimatorState
+    problem: ProblemState
+
+
 class MPC:
     """Model predictive control of z+ = A z + B phi(u) (+ sum_i u_i N_i z) + c + w, y = C z + d over ``horizon`` steps.
 
-    minimise  sum_j  output_weight |y_j - r_j|^2 [mm^2]  +  rate_weight |u_j - u_{j-1}|^2 [a^2]
-                     +  input_weight |u_j - u_offset|^2 [a^2]  +  output_slack_weight s_j^2 [mm^2]
-    subject to  u_min <= u_j <= u_max,  |u_j - u_{j-1}| <= du_max,  y_min - s_j <= y_j <= y_max + s_j.
+    minimise  sum_j  output_weight |(y_j - r_j)/e|^2  +  rate_weight |(u_j - u_{j-1})/a|^2
+                     +  input_weight |(u_j - u_offset)/a|^2  +  output_slack_weight s_j^2
+    subject to  u_min <= u_j <= u_max,  |u_j - u_{j-1}| <= du_max,  y_min - e s_j <= y_j <= y_max + e s_j.
 
+    ``model``: the identified model, with at least one input; ``horizon``: H steps.
     u_min, u_max, du_max: numbers or (m,), in input units, du_max per step; a = (u_max - u_min)/2 of each input. They
     hold exactly for every applied input, and u stays in input_offset + span(input_basis) of the model.
-    ``track``: an output name of the model or state indices; ``axes`` picks coordinates of it, e.g. (0, 1).
-    ``output_weight``: a number or one per tracked output, for outputs in metres. A stiff arm with a model linear in u
-    wants a ``rate_weight`` near 1e4, a soft arm near 100. y_min, y_max: numbers or (p,) in output units, infinite or
-    None where absent; soft, so that the problem always has a solution.
-    ``estimator_gain``: 0 (no disturbance estimate) to 1. ``dt``: if given, must be the model's.
+    ``track``: an output name of the model, or a list of state names or indices; ``axes`` picks coordinates of it in any
+    order, e.g. (0, 1): outputs, weights, limits and predictions have the order of ``axes``.
+    ``output_scale`` e: sizes of the outputs, a number or (p,) in output units; the range of each in the training data
+    if not given (``state_range`` of the model). Weights are relative to it and to a, so that they depend on no unit.
+    ``output_weight``: a number or one per tracked output. A stiff arm with a model linear in u wants a ``rate_weight``
+    near 0.02, a soft arm near 2e-4. y_min, y_max: numbers or (p,) in output units, infinite or None where absent; soft,
+    so that the problem always has a solution; ``output_slack_weight`` (1e3 if not given) prices their excess s_j.
+    ``estimator_gain``: 0 (no disturbance estimate) to 1. ``dt``: if given, must be the model's. ``qp``: settings of
+    the solver.
 
     The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by
     regression, the residual of the read-out at the measured state is added to all predicted outputs.
 
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear model
-    is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model.
+    is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model, and on settings
+    that would have no effect. Controllers can be pickled and copied, also between steps: a copy goes on to the last bit
+    as the original would; so does one that was ``restore``d from a ``snapshot``.
 
     Source: Rawlings, Mayne and Diehl, Model Predictive Control (2017), chapter 1; Korda and Mezic, Automatica 93
     (2018).
@@ -56,22 +75,24 @@ class MPC:
         u_min: ArrayLike,
         u_max: ArrayLike,
         du_max: ArrayLike,
-        track: str | Sequence[int] = "tip",
+        track: str | Sequence[int | str] = "tip",
         axes: Sequence[int] | None = None,
         output_weight: ArrayLike = 1.0,
-        rate_weight: float = 1e4,
+        rate_weight: float = 0.02,
         input_weight: float = 0.0,
         estimator_gain: float = 0.3,
         dt: float | None = None,
         y_min: ArrayLike | None = None,
         y_max: ArrayLike | None = None,
-        output_slack_weight: float = 1e3,
+        output_slack_weight: float | None = None,
+        output_scale: ArrayLike | None = None,
         qp: QPSettings | None = None,
     ) -> None:
         self.model = model
         self.horizon = count(horizon, "horizon")
         check_dt(model, dt)
-        self.track, self.axes, self.tracked = tracked_states(model, track, axes)
+        target = tracked_states(model, track, axes)
+        self.track, self.group, self.axes, self.tracked = target.name, target.group, target.axes, target.states
         self._limits = input_limits(
             u_min, u_max, du_max, model.n_inputs, model.input_offset, np.asarray(model.input_basis)
         )
@@ -80,15 +101,20 @@ class MPC:
         self._read, self._read_offset = model.C[rows], model.d[rows]
         self._condensed = condense(model.A, model.B, model.c, self._read, self._read_offset, H)
         _warn_of_growth(model.A, H)
+        self._history: History
         self._plan: Array | None = None
         self._estimator = DisturbanceEstimator(model.A, model.B, model.c, estimator_gain)
         self._response = self._condensed.response()
         self._linear = model.linear_in_u
+        scale = model.state_range[rows] if output_scale is None else _each_output(output_scale, "output_scale", p)
+        if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+            raise ValueError(f"output_scale = {scale}; expected a positive size of every output, in its own unit")
         weights = Weights(
             output=_each_output(output_weight, "output_weight", p),
             rate=non_negative(rate_weight, "rate_weight"),
             input=non_negative(input_weight, "input_weight"),
-            slack=non_negative(output_slack_weight, "output_slack_weight"),
+            slack=positive(1e3 if output_slack_weight is None else output_slack_weight, "output_slack_weight"),
+            scale=scale,
         )
         if not (weights.output.any() and (weights.output >= 0.0).all() and np.isfinite(weights.output).all()):
             raise ValueError(f"output_weight = {output_weight!r}; expected finite weights, none negative, one positive")
@@ -96,6 +122,10 @@ class MPC:
         high = np.full(p, np.inf) if y_max is None else _each_output(y_max, "y_max", p)
         if (low >= high).any():
             raise ValueError(f"y_min = {low} is not below y_max = {high}; give every output a range")
+        if output_slack_weight is not None and not (np.isfinite(low).any() or np.isfinite(high).any()):
+            raise ValueError(
+                "output_slack_weight has no effect without y_min or y_max; give one of them or leave it out"
+            )
         limits = self._limits
         self._T = limits.basis * limits.amplitude.mean()
         self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.is_bilinear else None
@@ -129,16 +159,35 @@ class MPC:
     @property
     def disturbance(self) -> Array:
         """Current disturbance estimate w (M,) of the lifted state, per step."""
-        return self._estimator.disturbance
+        return self._estimator.disturbance.copy()
 
     def reset(self, u0: ArrayLike | None = None) -> None:
-        """Forget history, plan and disturbance; the arm rests under u0 (m,), zeros if not given."""
+        """Forget history, plan and disturbance; the arm rests under ``u0`` (m,), zeros if not given."""
         self._start(start_input(u0, self.u_min, self.u_max))
         self._estimator.reset()
         self._problem.restart()
 
+    def snapshot(self) -> MPCState:
+        """What the next step depends on beside the arguments of the controller; ``restore`` goes on from there."""
+        plan = None if self._plan is None else self._plan.copy()
+        return MPCState(copy.deepcopy(self._history), plan, self._estimator.snapshot(), self._problem.snapshot())
+
+    def restore(self, state: MPCState) -> None:
+        """Go on, to the last bit, from a ``state`` that a controller with the same arguments took by ``snapshot``.
+
+        Raises ValueError for the state of a controller of other sizes.
+        """
+        if state.history.states.shape != self._history.states.shape:
+            raise ValueError("the snapshot is of a controller of another model; restore it where it is from")
+        self._problem.restore(state.problem)
+        self._estimator.restore(state.estimator)
+        self._history = copy.deepcopy(state.history)
+        self._plan = None if state.plan is None else state.plan.copy()
+
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
-        """The move after measuring x (n,), with the reference (H, p) of steps k+1 .. k+H (NaN: free output).
+        """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (H, p) of steps k+1 .. k+H.
+
+        NaN in the reference is a free output.
 
         Where no accepted solution exists the last good plan goes on, shifted, and at its end the input is held.
         Raises ValueError on wrong shapes and on measurements that are not finite.
@@ -214,11 +263,11 @@ class MPC:
 
 
 def _each_output(value: ArrayLike, name: str, n_outputs: int) -> Array:
-    array = np.array(value, dtype=np.float64)
+    array = real_array(value, name).copy()
     if array.ndim == 0:
         array = np.full(n_outputs, array)
     if array.shape != (n_outputs,) or np.isnan(array).any():
-        raise ValueError(f"{name} = {value!r}; expected a number or {n_outputs} numbers")
+        raise ValueError(f"{name} = {value!r}; expected a number or {n_outputs} numbers, one a tracked output")
     return array
 
 

@@ -3,34 +3,54 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pisplit.checks import Array
 from pisplit.controllers.mpc.limits import InputLimits
-from pisplit.controllers.mpc.qp import QP, QPResult, QPSettings
+from pisplit.controllers.mpc.qp import QP, QPResult, QPSettings, QPState
 
-MILLIMETRES = 1e3  # per metre: output errors are weighed in mm
+RESCALE = 2.0  # change of the mean curvature, or of the reach, from which the problem is scaled anew
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Stage cost: output (p,) and slack per mm^2 of error, rate and input per half-box-width^2 of (change of) input."""
+    """Stage cost: output (p,) and slack per squared output scale, rate and input per half-box-width^2 of (change of)
+    input. ``scale`` (p,): size of each output, in output units."""
 
     output: Array
     rate: float
     input: float
     slack: float
+    scale: Array
+
+
+@dataclass(frozen=True)
+class ProblemState:
+    """What the next solve depends on: the solver's state, the response S (H p, H r), which outputs are specified
+    (H p,), the factors of cost and rows, and the multipliers (k,) in units that these do not change."""
+
+    qp: QPState
+    S: Array
+    specified: NDArray[np.bool_]
+    normalise: float
+    reach: float
+    multipliers: Array
 
 
 class TrackingProblem:
-    """minimise sum_j |y_j - r_j|^2_Q + |u_j - u_{j-1}|^2_R + |u_j - u_offset|^2_I + w s_j^2 over H stages.
+    """minimise sum_j |(y_j - r_j)/scale|^2_Q + |u_j - u_{j-1}|^2_R + |u_j - u_offset|^2_I + w s_j^2 over H stages.
 
     Inputs u_j = offset + T v_j with coordinates v (H, r) in units of the mean half box width; outputs y = y_free + S v
-    with p outputs a stage. Box and rate rows are hard, output rows share one slack s_j >= 0 a stage, which exists only
-    when an output limit is finite. Rows are scaled: inputs by the half box width, outputs by their reach max |S|.
+    with p outputs a stage. Box and rate rows are hard, output rows y_min - scale s_j <= y_j <= y_max + scale s_j share
+    one slack s_j >= 0 a stage, which exists only when an output limit is finite. Rows are scaled: inputs by the half
+    box width, outputs by their reach, the largest sum of |S/scale| over a row; the cost by its mean curvature.
     A reference entry of NaN leaves that output free.
+
+    ``horizon`` H; ``limits`` of the inputs; ``weights`` of the stage cost; ``y_min``, ``y_max`` (p,) in output units,
+    infinite where absent; ``response`` S (H p, H r); ``settings`` of the solver.
     """
 
     def __init__(
@@ -45,7 +65,7 @@ class TrackingProblem:
     ) -> None:
         self.limits = limits
         self._H, self._p, self._r = horizon, len(weights.output), limits.basis.shape[1]
-        H, p, r = self._H, self._p, self._r
+        H, r = self._H, self._r
         amplitude = limits.amplitude
         self.scale = float(amplitude.mean())
         self.T = limits.basis * self.scale  # (m, r): du/dv
@@ -56,13 +76,12 @@ class TrackingProblem:
         self._input_hessian = np.kron(difference.T @ difference, self._rate_hessian)
         self._input_hessian += np.kron(np.eye(H), weights.input * per_amplitude.T @ per_amplitude)
 
-        self._Q = np.tile(weights.output * MILLIMETRES**2, H)
+        self._Q = np.tile(weights.output / weights.scale**2, H)
+        self._slack_weight, self._size = weights.slack, np.tile(weights.scale, H)
         self._outputs_low, self._outputs_high = np.isfinite(y_min), np.isfinite(y_max)
         self._y_min, self._y_max = y_min[self._outputs_low], y_max[self._outputs_high]
         n_low, n_high = len(self._y_min), len(self._y_max)
         self._soft = n_low + n_high > 0
-        self._reach = float(np.abs(response).sum(axis=1).max()) or 1.0
-        self._slack_hessian = weights.slack * (MILLIMETRES * self._reach) ** 2
         self.n_moves = H * r
         self.n_variables = self.n_moves + (H if self._soft else 0)
 
@@ -95,42 +114,53 @@ class TrackingProblem:
             self._lower[slack] = 0.0
         pattern |= self._A != 0.0
 
-        self._specified = np.ones(H * p, dtype=bool)
-        self._set_response(response)
-        P = self._hessian()
-        # Cost per mean curvature: absolute tolerances of the solver then mean the same for every arm and weight.
-        self._normalise = 1.0 / (float(np.diag(P)[: self.n_moves].mean()) or 1.0)
-        P_pattern = np.zeros_like(P, dtype=bool)
-        P_pattern[: self.n_moves, : self.n_moves] = True
-        P_pattern |= np.eye(self.n_variables, dtype=bool)
-        self._qp = QP(self._normalise * P, self._A, P_pattern, pattern, settings)
         self._shift_moves = np.concatenate(
             [_next_stage(H, r), self.n_moves + _next_stage(H, 1)] if self._soft else [_next_stage(H, r)]
         )
         self._shift_rows = np.concatenate(
             [a + _next_stage(H, g) for a, g in zip(first[:-1], groups, strict=True)]
         ).astype(int)
+        self._S, self._specified = response, np.ones(H * self._p, dtype=bool)
+        self._normalise, self._reach, self._multipliers = 0.0, 0.0, np.zeros(int(first[-1]))
+        P = self._scaled()
+        P_pattern = np.zeros((self.n_variables, self.n_variables), dtype=bool)
+        P_pattern[: self.n_moves, : self.n_moves] = True
+        P_pattern |= np.eye(self.n_variables, dtype=bool)
+        self._qp = QP(P, self._A, P_pattern, pattern, settings)
+        self._beginning = self.snapshot()
 
     def restart(self) -> None:
-        """Forget the iterates of the solver."""
-        self._qp.restart()
+        """Forget what was solved: the next solve counts as the first."""
+        self.restore(self._beginning)
+
+    def snapshot(self) -> ProblemState:
+        """The state from which ``restore`` goes on to the last bit."""
+        kept = (self._S.copy(), self._specified.copy(), self._normalise, self._reach, self._multipliers.copy())
+        return ProblemState(self._qp.snapshot(), *kept)
+
+    def restore(self, state: ProblemState) -> None:
+        """Go on from a ``state`` of a problem of the same sizes; raises ValueError for others."""
+        self._qp.restore(state.qp)
+        self._S, self._specified, self._multipliers = state.S.copy(), state.specified.copy(), state.multipliers.copy()
+        self._normalise, self._reach = state.normalise, state.reach
+        self._place_response()
 
     def hold(self, v_previous: Array) -> Array:
-        """The variables (n_variables,) of a plan that keeps the input at v_previous (r,)."""
+        """The variables (n_variables,) of a plan that keeps the input at v_previous (r,): moves, then slacks."""
         x = np.zeros(self.n_variables)
         x[: self.n_moves] = np.tile(v_previous, self._H)
         return x
 
     def shift(self, x: Array) -> Array:
-        """The same plan one step later, its last move repeated."""
+        """The plan x (n_variables,) one step later, its last move repeated."""
         return x[self._shift_moves]
 
     def moves(self, x: Array) -> Array:
-        """Coordinates v (H, r) of the planned inputs."""
+        """Coordinates v (H, r) of the inputs of a plan x (n_variables,)."""
         return x[: self.n_moves].reshape(self._H, self._r)
 
     def outputs(self, y_free: Array, x: Array) -> Array:
-        """Predicted outputs (H, p) of a plan."""
+        """Predicted outputs (H, p) of a plan x (n_variables,); y_free (H p,) are those of v = 0."""
         return (y_free + self._S @ x[: self.n_moves]).reshape(self._H, self._p)
 
     def solve(
@@ -140,16 +170,16 @@ class TrackingProblem:
 
         ``response`` (H p, H r) replaces S: it is given at every step when the features are nonlinear in the input.
         """
-        if not np.isfinite(y_free).all():  # before anything is kept of this step
+        finite = np.isfinite(y_free).all() and (response is None or np.isfinite(response).all())
+        if not finite:  # before anything is kept of this step
             return QPResult("prediction not finite", None, 0, np.inf)
         P = A = None
         specified = ~np.isnan(reference)
-        if response is not None:
-            self._set_response(response)
-            A = self._A if self._soft else None
         if response is not None or not np.array_equal(specified, self._specified):
+            self._S = self._S if response is None else response
             self._specified = specified
-            P = self._normalise * self._hessian()
+            P = self._scaled()
+            A = self._A if self._soft else None
         error = np.where(specified, y_free - reference, 0.0)
         q = np.zeros(self.n_variables)
         q[: self.n_moves] = (self._weights() * error) @ self._S
@@ -159,18 +189,45 @@ class TrackingProblem:
         self._lower[self._first_rate] = anchor - self._rate_limit
         self._upper[self._first_rate] = anchor + self._rate_limit
         if self._soft:
-            free = y_free.reshape(self._H, self._p)
+            free, size = y_free.reshape(self._H, self._p), self._size.reshape(self._H, self._p) * self._reach
             below, above, _ = self._groups[2:]
-            self._lower[below] = ((self._y_min - free[:, self._outputs_low]) / self._reach).ravel()
-            self._upper[above] = ((self._y_max - free[:, self._outputs_high]) / self._reach).ravel()
-        y0 = self._qp.multipliers[self._shift_rows]
-        return self._qp.solve(q, self._lower, self._upper, P, A, x0, y0)
+            low, high = self._outputs_low, self._outputs_high
+            self._lower[below] = ((self._y_min - free[:, low]) / size[:, low]).ravel()
+            self._upper[above] = ((self._y_max - free[:, high]) / size[:, high]).ravel()
+        # Plan and multipliers are kept in units that a change of the scaling does not touch.
+        by_variable, by_row = self._factors()
+        y0 = self._multipliers[self._shift_rows] * by_row
+        result = self._qp.solve(q, self._lower, self._upper, P, A, x0 / by_variable, y0)
+        self._multipliers = self._qp.multipliers / by_row
+        return result if result.x is None else replace(result, x=result.x * by_variable)
 
-    def _set_response(self, S: Array) -> None:
-        self._S = S
+    def _factors(self) -> tuple[Array, Array]:
+        """Units of the solver's variables (n_variables,), and of its multipliers (k,)."""
+        by_variable, by_row = np.ones(self.n_variables), np.full(len(self._lower), self._normalise)
+        by_variable[self.n_moves :] = self._reach
+        by_row[self._groups[1].stop :] *= self._reach
+        return by_variable, by_row
+
+    def _scaled(self) -> Array:
+        """The Hessian per mean curvature, and the output rows per reach, which come into A.
+
+        Absolute tolerances of the solver then mean the same for every arm, weight and, where the response changes with
+        the state, at every state: both factors follow when they are off by more than ``RESCALE``.
+        """
+        reach = float(np.abs(self._S / self._size[:, None]).sum(axis=1).max()) or 1.0
+        if not 1.0 / RESCALE <= reach / (self._reach or np.inf) <= RESCALE:
+            self._reach = reach
+        P = self._hessian()
+        curvature = float(np.diag(P)[: self.n_moves].mean()) or 1.0
+        if not 1.0 / RESCALE <= curvature * self._normalise <= RESCALE:
+            self._normalise = 1.0 / curvature
+        self._place_response()
+        return self._normalise * P
+
+    def _place_response(self) -> None:
         if self._soft:
             H, p = self._H, self._p
-            stages = S.reshape(H, p, self.n_moves) / self._reach
+            stages = (self._S / (self._size * self._reach)[:, None]).reshape(H, p, self.n_moves)
             below, above, _ = self._groups[2:]
             self._A[below, : self.n_moves] = stages[:, self._outputs_low].reshape(-1, self.n_moves)
             self._A[above, : self.n_moves] = stages[:, self._outputs_high].reshape(-1, self.n_moves)
@@ -179,7 +236,7 @@ class TrackingProblem:
         P = np.zeros((self.n_variables, self.n_variables))
         P[: self.n_moves, : self.n_moves] = self._S.T @ (self._weights()[:, None] * self._S) + self._input_hessian
         slack = np.arange(self.n_moves, self.n_variables)
-        P[slack, slack] = self._slack_hessian
+        P[slack, slack] = self._slack_weight * self._reach**2
         return P
 
     def _weights(self) -> Array:

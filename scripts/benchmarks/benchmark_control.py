@@ -22,7 +22,7 @@ def measure_control(report: Report, quick: bool, seed: int) -> None:
     """Track a circle of 0.1 m in 4 s with the model as its own, noisy, plant; limits of the paper's arm."""
     rng = np.random.default_rng(seed)
     model = arm_like_model(rng)
-    mpc = MPC(model, HORIZON, u_min=-0.015, u_max=0.015, du_max=0.002, track="tip", rate_weight=1e4)
+    mpc = MPC(model, HORIZON, u_min=-0.015, u_max=0.015, du_max=0.002, track="tip", rate_weight=0.01)
     mpc.reset(np.zeros(3))
     steps = 200 if quick else 1000
     angle = 2.0 * np.pi * DT / 4.0 * np.arange(steps + HORIZON + 1)

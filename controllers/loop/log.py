@@ -1,0 +1,190 @@
+"""The record of a closed-loop run: what was measured, applied and how it went; printed, saved and loaded."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from pisplit.checks import Array, non_negative
+from pisplit.data import store
+
+KIND = "pisplit/loop-log"
+#: Units that people read in another one: label, factor.
+SHOWN = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "1": ("", 1.0)}
+SOLVED = "solved"
+INTERRUPTED = "interrupted by the keyboard"
+
+
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Label and factor in which numbers of a ``unit`` are printed: metres as mm, others as they are."""
+    return SHOWN.get(unit, (unit, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class LoopLog:
+    """Record of N closed-loop steps; states have N + 1 rows, row 0 at the start.
+
+    dt [s], t (N+1,) [s], x (N+1, n) measured states in the order of the model, reference (N+1, p) with NaN where an
+    output was free, u (N, m) applied inputs, u0 (m,) the input before them. ``tracked`` (p,): indices of the tracked
+    states. Names and units (n,), (m,) of states and inputs; a unit is "" where nobody told it.
+    Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
+    ``plant_time`` [s]. ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
+    ``message``: why the run ended early, empty otherwise; the arrays hold what was run. ``notes``: what else is to be
+    known, e.g. a reference far outside the training data.
+    """
+
+    dt: float
+    t: Array
+    x: Array
+    reference: Array
+    u: Array
+    u0: Array
+    tracked: tuple[int, ...]
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    input_units: tuple[str, ...]
+    statuses: tuple[str, ...]
+    iterations: Array
+    fallback: Array
+    solve_time: Array
+    cpu_time: Array
+    plant_time: Array
+    limit_violations: int
+    message: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def y(self) -> Array:
+        """Tracked outputs (N+1, p)."""
+        return self.x[:, list(self.tracked)]
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names (p,) of the tracked outputs."""
+        return tuple(self.state_names[i] for i in self.tracked)
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Units (p,) of the tracked outputs, "" where unknown."""
+        return tuple(self.state_units[i] for i in self.tracked)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run ended early; ``message`` says why."""
+        return bool(self.message)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was the keyboard that ended the run."""
+        return self.message.endswith(INTERRUPTED)
+
+    @property
+    def fallbacks(self) -> int:
+        """Steps without an accepted solution."""
+        return int(np.count_nonzero(self.fallback))
+
+    @property
+    def unsolved(self) -> int:
+        """Steps whose solution was accepted though not solved to tolerance."""
+        return sum(not f and s != SOLVED for f, s in zip(self.fallback, self.statuses, strict=True))
+
+    @property
+    def deadline_misses(self) -> int:
+        """Steps whose controller took longer than dt."""
+        return int(np.count_nonzero(self.solve_time > self.dt))
+
+    @property
+    def error(self) -> Array:
+        """Distance (N+1,) of the tracked outputs from the reference, over the outputs that it specifies.
+
+        Raises ValueError for outputs of several units: see ``rms_errors``.
+        """
+        if len(set(self.output_units)) > 1:
+            raise ValueError(f"outputs in {sorted(set(self.output_units))} have no distance; use rms_errors()")
+        return self._distance(range(len(self.tracked)))
+
+    def rms_error(self, after: float = 0.0, before: float = np.inf) -> float:
+        """Root mean square of ``error`` over ``after`` < t <= ``before`` [s], in output units. NaN if nothing was run
+        there.
+
+        The preview moves the plant ahead of a jump: read steady errors from windows that end H steps before it.
+        """
+        chosen = self._between(after, before)
+        return float(np.sqrt(np.mean(self.error[chosen] ** 2))) if chosen.any() else float("nan")
+
+    def rms_errors(self, after: float = 0.0, before: float = np.inf) -> dict[str, float]:
+        """As ``rms_error`` over ``after`` < t <= ``before`` [s], apart for the outputs of each unit: unit -> error."""
+        chosen, units = self._between(after, before), np.array(self.output_units)
+        groups = {unit: np.flatnonzero(units == unit).tolist() for unit in dict.fromkeys(self.output_units)}
+        return {
+            unit: float(np.sqrt(np.mean(self._distance(group)[chosen] ** 2))) if chosen.any() else float("nan")
+            for unit, group in groups.items()
+        }
+
+    def summary(self) -> str:
+        """A few lines for people; errors in the outputs' own units (metres as mm), without one where it is unknown."""
+        errors = ", ".join(_text(error, unit) for unit, error in self.rms_errors().items())
+        lines = [f"{len(self.u)} steps, {self.t[-1]:.2f} s; RMS error {errors}"]
+        if len(self.u):
+            median, p99, worst = 1e3 * np.percentile(self.solve_time, [50, 99, 100])
+            lines.append(
+                f"controller: median {median:.2f} ms, p99 {p99:.2f} ms, maximum {worst:.2f} ms, "
+                f"{self.deadline_misses} deadline misses; plant: median {1e3 * np.median(self.plant_time):.2f} ms"
+            )
+            found = ", ".join(f"{n} x {status}" for status, n in Counter(self.statuses).most_common())
+            lines.append(
+                f"{found}; {self.unsolved} not to tolerance, {self.fallbacks} fallbacks, "
+                f"{self.limit_violations} limit violations"
+            )
+        lines += self.notes
+        if self.stopped:
+            lines.append(f"stopped: {self.message}")
+        return "\n".join(lines)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the log to the HDF5 file ``path``, whole or not at all."""
+        with store.writing(path, KIND) as file:
+            for item in fields(self):
+                value = getattr(self, item.name)
+                if item.name in _TEXTS:
+                    store.write_strings(file, item.name, value)
+                elif item.name == "message":
+                    store.write_text(file, item.name, value)
+                else:
+                    file[item.name] = value
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> LoopLog:
+        """Read the log saved at ``path``. Raises one line for files that are missing, damaged or of another kind."""
+        with store.reading(path, KIND) as file:
+            parts: dict[str, object] = {}
+            for item in fields(cls):
+                if item.name in _TEXTS:
+                    parts[item.name] = store.read_strings(file, item.name)
+                elif item.name == "message":
+                    parts[item.name] = store.read_text(file, item.name)
+                else:
+                    parts[item.name] = np.asarray(file[item.name][()])
+            parts["dt"], parts["limit_violations"] = float(parts["dt"]), int(parts["limit_violations"])  # type: ignore[arg-type, call-overload]
+            parts["tracked"] = tuple(int(i) for i in parts["tracked"])  # type: ignore[attr-defined]
+            return cls(**parts)  # type: ignore[arg-type]
+
+    def _between(self, after: float, before: float) -> Array:
+        return np.asarray((self.t > non_negative(after, "after", "s")) & (self.t <= before))
+
+    def _distance(self, outputs: Sequence[int]) -> Array:
+        missed = (self.y - self.reference)[:, list(outputs)]
+        return np.asarray(np.sqrt(np.nansum(missed**2, axis=1)))
+
+
+_TEXTS = ("state_names", "input_names", "state_units", "input_units", "statuses", "notes")
+
+
+def _text(value: float, unit: str) -> str:
+    label, factor = shown_unit(unit)
+    return f"{factor * value:.4g} {label}".rstrip()

@@ -1,0 +1,81 @@
+"""What a loop has run so far, step by step: it survives whatever ends the run, and goes on after it."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.controllers.loop.log import LoopLog
+from pisplit.controllers.loop.tracking import Controller, Move
+from pisplit.controllers.loop.wiring import Wiring
+from pisplit.controllers.references import Reference
+
+LIMIT_TOLERANCE = 1e-9
+
+
+@dataclass(eq=False)
+class Recorder:
+    """A run: its ``reference``, bound to the start, and its samples ``wanted`` (so far); ``u0`` (m,); states ``x``,
+    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` [s] each; ``message`` and ``notes`` as in the log."""
+
+    reference: Reference
+    wanted: Array
+    u0: Array
+    x: list[Array]
+    moves: list[Move] = field(default_factory=list)
+    u: list[Array] = field(default_factory=list)
+    plant_time: list[float] = field(default_factory=list)
+    message: str = ""
+    notes: list[str] = field(default_factory=list)
+
+    def copy(self) -> Recorder:
+        """A record that goes on apart from this one."""
+        return copy.deepcopy(self)
+
+    def add(self, move: Move, u: Array, plant_time: float, x: Array) -> None:
+        """A completed step: ``move``, the input ``u`` (m,) that was applied, seconds of the plant, the state (n,)."""
+        self.moves.append(move)
+        self.u.append(u)
+        self.plant_time.append(plant_time)
+        self.x.append(x)
+
+    def log(self, dt: float, controller: Controller, wiring: Wiring) -> LoopLog:
+        """The log of what was run so far by the ``controller``, in steps of ``dt`` [s]; ``wiring`` tells the units."""
+        model, N = controller.model, len(self.x) - 1  # an interrupt may have come amid ``add``, whose last is the state
+        moves = self.moves[:N]
+        u = np.reshape(np.array(self.u[:N], dtype=np.float64), (N, len(self.u0)))
+        return LoopLog(
+            dt=dt,
+            t=dt * np.arange(N + 1, dtype=np.float64),
+            x=np.array(self.x),
+            reference=self.wanted[: N + 1].copy(),
+            u=u,
+            u0=self.u0.copy(),
+            tracked=tuple(controller.tracked),
+            state_names=model.state_names,
+            input_names=model.input_names,
+            state_units=wiring.states.units,
+            input_units=wiring.inputs.units,
+            statuses=tuple(move.status for move in moves),
+            iterations=np.array([move.iterations for move in moves], dtype=int),
+            fallback=np.array([move.fallback for move in moves], dtype=bool),
+            solve_time=np.array([move.solve_time for move in moves]),
+            cpu_time=np.array([move.cpu_time for move in moves]),
+            plant_time=np.array(self.plant_time[:N]),
+            limit_violations=_count_violations(u, self.u0, controller),
+            message=self.message,
+            notes=tuple(self.notes),
+        )
+
+
+def _count_violations(u: Array, u0: Array, controller: Controller) -> int:
+    """Steps whose applied input is outside the box or changed faster than the rate limits."""
+    if not len(u):
+        return 0
+    change = np.abs(np.diff(u, axis=0, prepend=u0[None]))
+    bad = (u < controller.u_min - LIMIT_TOLERANCE) | (u > controller.u_max + LIMIT_TOLERANCE)
+    bad |= change > controller.du_max + LIMIT_TOLERANCE
+    return int(np.count_nonzero(bad.any(axis=1)))
