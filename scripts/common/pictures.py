@@ -20,7 +20,7 @@ from pisplit.files import replacing
 
 Array = NDArray[np.float64]
 
-COLOURS = {"feed-forward": "#999999", "L-EDMDc": "#d95f02", "PI-EDMDc": "#1b6ca8"}
+COLOURS = {"feed-forward": "#999999", "L-EDMDc": "#d95f02", "PI-EDMDc": "#1b6ca8", "PI-EDMDc LASSO": "#2a9d5c"}
 plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False})
 plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False, "savefig.dpi": 130})
 
