@@ -235,7 +235,6 @@ def test_mpc_drives_a_bilinear_system_to_a_reachable_set_point(model: LiftedMode
         ),
         (lambda m: dictionary(ob.Bilinear(("x9",))), "Bilinear names"),
         (lambda m: dictionary(ob.Bilinear(), ob.Bilinear()), "2 Bilinear"),
-        (lambda m: BilinearEDMDc(Dictionary(ob.States(), n_states=3, n_inputs=0)).theta.bilinear(), "needs inputs"),
         (lambda m: replace(m, N=np.zeros((1, 2, 2))), "N has shape"),
         (lambda m: m.transition([1.0]), "u has shape"),
         (lambda m: BilinearEDMDc(dictionary(), penalty="elastic"), "penalty"),

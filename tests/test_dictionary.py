@@ -157,7 +157,7 @@ def test_names_come_from_the_episodes_unless_given() -> None:
     theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
     assert theta.named_after(data).column_names == ("p", "q", "u1")
     assert theta.named_after(data).column_quantities == ("length", "rate", "u")
-    with pytest.raises(ValueError, match="names its states"):
+    with pytest.raises(ValueError, match="no states named a, b of the dictionary"):
         Dictionary(ob.Identity(), n_states=2, n_inputs=1, state_names=("a", "b")).named_after(data)
     with pytest.raises(ValueError, match="3 states"):
         Dictionary(ob.Identity(), n_states=3, n_inputs=1).named_after(data)

@@ -103,9 +103,13 @@ def test_a_model_fitted_with_a_loaded_dictionary_is_the_same_model(tmp_path: Pat
     one, other = (BilinearEDMDc(t, alpha=1e-3).fit(d1) for t in (theta, copy))
     np.testing.assert_array_equal(one.K_, other.K_)
     assert one.lifted.provenance["dictionary"] == other.lifted.provenance["dictionary"] == one.theta_.fingerprint()
-    with pytest.raises(ValueError, match="names its states"):
-        Dictionary(ob.States(), n_states=2, n_inputs=2, state_names=("a", "b")).save(tmp_path / "named.h5")
-        Dictionary.load(tmp_path / "named.h5").named_after(episodes())
+    Dictionary(ob.States(), n_states=2, n_inputs=2, state_names=("a", "b")).save(tmp_path / "named.h5")
+    named = Dictionary.load(tmp_path / "named.h5")
+    assert named.named_after(episodes()) is named  # data without names are matched by position
+    with pytest.raises(ValueError, match="no states named a, b of the dictionary"):
+        named.named_after(episodes(state_names=("p", "q")))
+    with pytest.raises(ValueError, match="give Episodes.arranged"):
+        named.named_after(episodes(state_names=("b", "a")))
 
 
 def test_files_of_another_kind_are_refused(tmp_path: Path) -> None:

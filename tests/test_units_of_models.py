@@ -40,7 +40,7 @@ def test_a_model_has_the_units_of_its_data(model: LiftedModel, tmp_path: Path) -
 def test_units_are_one_text_a_column(model: LiftedModel) -> None:
     assert replace(model, state_units=None, input_units=["V"]).units == ("", "")
     for wrong in (("rad",), ("rad", 1.0)):
-        with pytest.raises(ValueError, match="state_units = .* expected 2 texts"):
+        with pytest.raises(ValueError, match=r"state_units = .* expected 2 texts"):
             replace(model, state_units=wrong)
-    with pytest.raises(ValueError, match="input_units = .* expected 1 texts"):
+    with pytest.raises(ValueError, match=r"input_units = .* expected 1 texts"):
         replace(model, input_units=("V", "V"))

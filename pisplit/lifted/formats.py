@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def to_numpy(model: LiftedModel) -> dict[str, Any]:
-    """A, B, c, C, d (and N of a bilinear model), dt, names and units as plain arrays, numbers and lists of text (copies)."""
+    """A, B, c, C, d (and N of a bilinear model), dt, names and units as arrays, numbers and lists of text (copies)."""
     arrays = {name: np.array(getattr(model, name)) for name in ("A", "B", "c", "C", "d", "state_range")}
     arrays |= {} if model.N is None else {"N": np.array(model.N)}
     names = ("state_names", "input_names", "column_names", "feature_names", "state_units", "input_units")
