@@ -14,8 +14,7 @@ from pisplit.estimators.twin import TwinEDMDc
 from pisplit.evaluation.comparison import Comparison, LearningCurve, compare, learning_curve
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
-from pisplit.generator.generator import HalfStep, generator_edmd, generator_spectrum, half_step
-from pisplit.generator.spectrum import Spectrum
+from pisplit.generator import HalfStep, Spectrum, generator_edmd, generator_spectrum, half_step
 from pisplit.lifted.formats import to_c_header, to_control, to_numpy, to_state_space
 from pisplit.lifted.model import LiftedModel, Rollout
 from pisplit.lifted.modes import Modes, modes

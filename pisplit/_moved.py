@@ -16,8 +16,8 @@ _ROOMS = {
     "pisplit.regression": "least_squares lasso lasso_active_set lasso_cvxpy multi_target moments recursive scaling",
     "pisplit.generator": "bilinear_half_step:product_half_step spectrum",
     "pisplit.splitting": "balanced hold two_stage split_options:options",
-    "pisplit.estimators": "estimator:base edmdc bilinear pi twin streaming choice:alpha_search excitation "
-    "bounded:boundedness",
+    "pisplit.estimators": "estimator:base edmdc bilinear pi twin streaming choice:alpha_search "
+    "excitation:boundedness bounded:boundedness",
     "pisplit.lifted": "export:operators exporting:formats stability:radius modal:modes reduction sensitivity",
     "pisplit.evaluation": "evaluate:rollouts horizon comparison",
     "pisplit.models.arm": "tendon_arm equilibrium:static_table arm_physics:physics generation:recording blocks",

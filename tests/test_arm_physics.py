@@ -9,7 +9,7 @@ import pytest
 
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.generator.generator import generator_edmd
+from pisplit.generator import generator_edmd
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.recording import deviations_from_equilibrium, make_episodes, make_phase_samples
 from pisplit.models.arm.static_table import equilibrium_table

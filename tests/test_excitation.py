@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.estimators.alpha_search import choose
-from pisplit.estimators.excitation import EXCURSION, Excitation
+from pisplit.estimators.boundedness import EXCURSION, Excitation
 from pisplit.evaluation.rollouts import rollout_errors
 
 STABLE = np.array([[0.95, 0.10], [-0.08, 0.90]])

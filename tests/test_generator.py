@@ -8,7 +8,7 @@ import scipy.linalg
 
 from pisplit import Dictionary, PhaseSamples
 from pisplit import observables as ob
-from pisplit.generator.generator import flow_map, generator_edmd, half_step
+from pisplit.generator import flow_map, generator_edmd, half_step
 from pisplit.models import systems
 
 RNG = np.random.default_rng(2)

@@ -9,7 +9,7 @@ import pytest
 
 from pisplit import Dictionary, Episodes, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.generator.generator import (
+from pisplit.generator import (
     equilibrium_drift,
     generator_edmd,
     generator_spectrum,

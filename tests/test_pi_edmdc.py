@@ -12,7 +12,7 @@ import pytest
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
 from pisplit.models import systems
-from pisplit.splitting.base import free_block
+from pisplit.splitting import free_block
 
 STEP = 1e-3
 

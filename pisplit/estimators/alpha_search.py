@@ -1,24 +1,26 @@
-"""The choice of alpha: roll-outs of held-out training episodes, and boundedness under an excitation."""
+"""The choice of alpha: a fit is called for every alpha of a grid, its models roll held-out episodes out."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.excitation import Excitation
-from pisplit.lifted.model import LiftedModel
-from pisplit.lifted.operators import operators
-from pisplit.regression.moments import accumulate
+from pisplit.estimators.problem import Problem
+from pisplit.evaluation.rollouts import rollout_errors
+from pisplit.regression.moments import Moments, accumulate
 from pisplit.regression.scaling import column_scales
-from pisplit.splitting.base import SplitFit
+from pisplit.splitting import SplitFit
 
 Array = NDArray[np.float64]
+#: A fit to the moments of pairs, for one alpha.
+Fit = Callable[[Moments, float], SplitFit]
 
 MAX_HELD_OUT = 4
 
@@ -46,36 +48,6 @@ class AlphaSearch:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What the fits of one estimator to one set of data have in common.
-
-    pairs       all training pairs
-    base        the model but for its dynamics: lifting, read-out, names
-    held        pairs to learn from, held-out episodes and their numbers; None where alpha is given
-    learning    base of the model that learns without the held-out episodes
-    excitation  what models must survive, or None
-    """
-
-    theta: Dictionary
-    scale: Array
-    pairs: Pairs
-    base: LiftedModel
-    held: tuple[Pairs, Episodes, tuple[int, ...]] | None
-    learning: LiftedModel
-    excitation: Excitation | None
-
-    def model(self, k: Array) -> LiftedModel:
-        """The model with the learned rows ``k``."""
-        return replace(self.base, **operators(self.theta, k))
-
-    def bounds(self, k: Array) -> bool:
-        """True if ``k`` stays bounded, or nobody asks."""
-        if self.excitation is None:
-            return True
-        return bool(np.isfinite(k).all()) and self.excitation.bounds(self.model(k))
-
-
-@dataclass(frozen=True)
 class Choice:
     """A fit to all pairs with the alpha that was chosen for it, and whether it stays bounded (None: nobody asked)."""
 
@@ -95,6 +67,49 @@ class Choice:
         return self.bounded is False or bool(self.search and self.search.unbounded)
 
 
+def fit_at(problem: Problem, fit: Fit, alpha: float) -> Choice:
+    """``fit`` to all pairs of ``problem`` with a given ``alpha``."""
+    found = fit(problem.moments, alpha)
+    bounded = problem.stays_bounded(found.K, problem.model(found.K)) if problem.excitation else None
+    return Choice(found, alpha, None, bounded)
+
+
+def fit_with_search(
+    problem: Problem,
+    fit: Fit,
+    alphas: Sequence[float],
+    states: str | Sequence[int] | Sequence[str] | None = None,
+    tolerance: float = 0.0,
+) -> Choice:
+    """``fit`` to all pairs of ``problem`` with the best of ``alphas`` on roll-outs of its held-out episodes.
+
+    The error is the median over the roll-outs of ``states`` (output group, names or indices; default all), each in
+    units of its quantity's spread; ``tolerance`` as in :func:`choose`.
+    """
+    held = problem.held
+    assert held is not None
+    weights = state_weights(problem.theta, problem.pairs)
+    learned = lru_cache(maxsize=None)(lambda alpha: fit(held.moments, alpha))
+
+    def error(alpha: float) -> float:
+        k = learned(alpha).K
+        if not np.isfinite(k).all():
+            return np.inf
+        return rollout_errors(problem.without_held_out(k), held.episodes, states, weights).median
+
+    def bounded(alpha: float) -> bool:
+        k = learned(alpha).K
+        return problem.stays_bounded(k, problem.without_held_out(k))
+
+    grid = np.array(alphas, dtype=np.float64)
+    errors = np.array([error(alpha) for alpha in grid.tolist()])
+    search = choose(grid, errors, tolerance, held.numbers, bounded if problem.excitation else None)
+    if held.moments is problem.moments:  # that is the model which was rolled out
+        return Choice(learned(search.chosen), search.chosen, search, search.bounded)
+    best = fit_at(problem, fit, search.chosen)
+    return Choice(best.fit, search.chosen, search, best.bounded)
+
+
 def choose(
     alphas: Array,
     errors: Array,
@@ -104,7 +119,8 @@ def choose(
 ) -> AlphaSearch:
     """The largest alpha within ``tolerance`` of the smallest error, among those whose models stay ``bounded``.
 
-    Models are looked at in the order of preference until one is. Where none is, the choice is that of the errors alone.
+    ``alphas`` (G,) were tried on the episodes ``held_out``, with these ``errors`` (G,). Models are looked at in the
+    order of preference until one stays bounded. Where none does, the choice is that of the errors alone.
     """
     left = errors.copy()
     while np.isfinite(left).any():
@@ -118,7 +134,7 @@ def choose(
         best = _preferred(alphas, errors, tolerance)
         return AlphaSearch(alphas, errors, float(alphas[best]), held_out, tried, False)
     last = float(alphas.max())
-    warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {last:g}", stacklevel=7)
+    warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {last:g}", stacklevel=5)
     return AlphaSearch(alphas, errors, last, held_out, tried, None if bounded is None else bounded(last))
 
 
@@ -129,7 +145,7 @@ def _preferred(alphas: Array, errors: Array, tolerance: float) -> int:
 
 
 def hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:
-    """Training pairs, held-out episodes and their numbers.
+    """Training pairs, held-out episodes and their numbers, of ``pairs`` of ``d1`` with ``delays`` steps of history.
 
     Episodes with the fewest training pairs are held out, later ones first: drawn pairs stay in use where possible, and
     episodes without any cost nothing (the training pairs are then ``pairs`` itself).
@@ -156,6 +172,6 @@ def hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, 
 
 
 def state_weights(theta: Dictionary, pairs: Pairs) -> Array:
-    """1 / scale (n,) of every state by physical quantity, so that held-out errors of different units add up."""
+    """1 / scale (n,) of every state of ``theta`` by its quantity's spread over ``pairs``: errors of any unit add up."""
     std = accumulate(block.x for block in pairs.blocks()).std
     return 1.0 / column_scales(std, theta.names.quantities)

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import finite_array, non_negative
+from pisplit.checks import finite_array, non_negative, one_of, positive
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.alpha_search import AlphaSearch, Choice, Trial, choose, hold_out, state_weights
-from pisplit.estimators.boundedness import bounded
-from pisplit.estimators.excitation import EXCURSION, Excitation
+from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search, hold_out
+from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
+from pisplit.estimators.problem import HeldOut, Problem
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import lifted_model
-from pisplit.regression.scaling import column_scales
-from pisplit.splitting.base import Solver, SplitContext, SplitFit, Splitting, Stiffening, pair_moments
+from pisplit.regression.moments import Moments
+from pisplit.regression.scaling import SCALINGS, column_scales
+from pisplit.splitting import SplitFit, pair_moments
 
 Array = NDArray[np.float64]
 
@@ -33,15 +32,14 @@ _E = TypeVar("_E", bound="Estimator")
 #: Static solutions of the actuated system: x (N, n) and u (N, m).
 Equilibria = tuple[ArrayLike, ArrayLike]
 
-GRIDS = {"ridge": np.logspace(-10, 1, 12), "lasso": np.logspace(-6, -1, 6)}
+#: Grids of alpha="cv", relative.
+GRIDS = {"ridge": tuple(np.logspace(-10, 1, 12).tolist()), "lasso": tuple(np.logspace(-6, -1, 6).tolist())}
 #: A bound that takes more than 1 % off the spectral radius changes what the model says: fit warns.
 NOTABLE = 1.01
-#: Times that a splitting is made stiffer in search of a model that stays bounded.
-STIFFER = 12
 
 
-class Estimator(ABC):
-    """Base of the estimators: a subclass names its options in ``__init__`` and says how K is fitted in ``_splitting``.
+class Estimator:
+    """Base of the estimators: a subclass names its options in ``__init__`` and says in ``fit`` how K is fitted.
 
     After ``fit``: ``lifted`` (LiftedModel), ``K_`` (learned rows of the operator, physical units), ``theta_`` (the
     dictionary with the names of the data), ``fit_`` (SplitFit), ``alpha_``, ``cv_`` (None unless alpha="cv") and
@@ -50,9 +48,7 @@ class Estimator(ABC):
 
     theta: Dictionary
     alpha: float | str
-    penalty: str
     scale: str | None
-    relative: bool | str
     alphas: Sequence[float] | None
     cv_states: str | Sequence[int] | Sequence[str] | None
     cv_tolerance: float
@@ -103,14 +99,6 @@ class Estimator(ABC):
         """Errors of open-loop roll-outs of test episodes over the chosen states (output group, names or indices)."""
         return rollout_errors(self._fitted(), episodes, states)
 
-    @abstractmethod
-    def _splitting(self, context: SplitContext) -> Splitting:
-        """The splitting that fits K."""
-
-    @abstractmethod
-    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
-        """The options of this estimator as the splitting wants them."""
-
     def _dictionary(self, d1: Episodes) -> Dictionary:
         """The dictionary with the names of the data."""
         theta = self.theta.named_after(d1)
@@ -118,39 +106,64 @@ class Estimator(ABC):
             raise ValueError(f"{type(self).__name__} is linear in z; ob.Bilinear products belong to BilinearEDMDc")
         return theta
 
-    def _fit(
+    def _problem(
         self,
         d1: Episodes,
-        samples: PhaseSamples | None,
         pairs: Pairs | None,
         equilibria: Equilibria | None,
-        simulated: Pairs | None = None,
-        excitation: ArrayLike | None = None,
-    ) -> None:
+        excitation: ArrayLike | None,
+        more: PhaseSamples | Pairs | None = None,
+    ) -> Problem:
+        """The data of a fit, checked; ``more`` are phase samples or pairs of a twin that a read-out may learn from."""
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
         theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
         rest = None if equilibria is None else _resting(equilibria, theta)
         held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
-        exciting = _exciting(excitation, theta, chosen, held, simulated)
         moments = pair_moments(theta, chosen, rest)
-        scale = column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale)
-        context = self._context(theta, scale, d1.dt, samples)
-        splitting = self._splitting(replace(context, equilibria=rest, known=(chosen, moments)))
-        more = samples if simulated is None else simulated
         unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
         base = lifted_model(theta, unlearned, d1, chosen, {}, more)
-        learning = base if held is None or held[0] is chosen else lifted_model(theta, unlearned, d1, held[0], {}, more)
-        trial = Trial(theta, scale, chosen, base, held, learning, exciting)
-        choice = self._stiffened(splitting, trial)
+        return Problem(
+            d1=d1,
+            theta=theta,
+            pairs=chosen,
+            n_equilibria=0 if rest is None else len(rest[0]),
+            moments=moments,
+            scale=column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale),
+            base=base,
+            held=None
+            if held is None
+            else HeldOut(
+                episodes=held[1],
+                numbers=held[2],
+                moments=moments if held[0] is chosen else pair_moments(theta, held[0], rest),
+                base=base if held[0] is chosen else lifted_model(theta, unlearned, d1, held[0], {}, more),
+            ),
+            excitation=_exciting(excitation, theta, chosen, held, more if isinstance(more, Pairs) else None),
+        )
+
+    def _choose(self, problem: Problem, fit: Fit, default: Sequence[float]) -> Choice:
+        """``fit`` with the alpha that was given, or that of the grid (``default`` where none was) that is best."""
+
+        def within(moments: Moments, alpha: float) -> SplitFit:
+            found = fit(moments, alpha)
+            return found if self.max_radius is None else limited(found, problem.theta, problem.scale, self.max_radius)
+
+        if problem.held is None:
+            return fit_at(problem, within, float(self.alpha))
+        grid = default if self.alphas is None else self.alphas
+        return fit_with_search(problem, within, grid, self.cv_states, self.cv_tolerance)
+
+    def _keep(self: _E, problem: Problem, choice: Choice) -> _E:
+        """Make the model of the choice, with its provenance; warn of what it says against itself. Returns itself."""
+        fit = choice.fit
         if choice.bounded is False:
             warnings.warn(
                 f"no model that was tried stays bounded under the excitation (states within {EXCURSION:g} times the "
                 "data's range); give more data or a larger alpha",
                 stacklevel=3,
             )
-        fit, search = choice.fit, choice.search
         radius = float(fit.details.get("unbounded_radius", 0.0))
         if self.max_radius is not None and radius > NOTABLE * self.max_radius:
             warnings.warn(
@@ -161,72 +174,52 @@ class Estimator(ABC):
             "estimator": type(self).__name__,
             "options": {k: v for k, v in self.get_params().items() if isinstance(v, str | int | float | None)},
             "alpha": choice.alpha,
-            "dictionary": theta.fingerprint(),
-            "pairs": len(chosen),
-            "equilibria": 0 if rest is None else len(rest[0]),
+            "dictionary": problem.theta.fingerprint(),
+            "pairs": len(problem.pairs),
+            "equilibria": problem.n_equilibria,
             "bounded": choice.bounded,
             "details": dict(fit.details),
-            "data": dict(d1.provenance or {}),
+            "data": dict(problem.d1.provenance or {}),
         }
-        self.lifted = replace(trial.model(fit.K), provenance=provenance)
-        self.theta_, self.fit_, self.K_ = theta, fit, fit.K
-        self.alpha_, self.cv_, self.bounded_ = choice.alpha, search, choice.bounded
-
-    def _stiffened(self, splitting: Splitting, trial: Trial) -> Choice:
-        """The choice; where what rolls out best does not stay bounded, splittings that can be stiffer are tried too.
-
-        They are made stiffer as long as nothing is bounded, or the bounded choice still gets better by it.
-        """
-        best = self._chosen(splitting, trial)
-        last = best
-        for _ in range(STIFFER):
-            if not last.refused or not isinstance(splitting, Stiffening):
-                break
-            splitting = splitting.stiffer()
-            last = self._chosen(splitting, trial)
-            if last.rank < best.rank:
-                best = last
-            elif best.bounded:
-                break
-        return best
-
-    def _chosen(self, splitting: Splitting, trial: Trial) -> Choice:
-        """alpha, and the fit to all pairs."""
-        solve = self._solver(splitting, trial, trial.pairs)
-        search = self._search(splitting, solve, trial) if trial.held else None
-        alpha = search.chosen if search else non_negative(self.alpha, "alpha")
-        fit = solve(alpha)
-        if search and trial.learning is trial.base:  # that is the model which was rolled out
-            return Choice(fit, alpha, search, search.bounded)
-        return Choice(fit, alpha, search, trial.bounds(fit.K) if trial.excitation else None)
-
-    def _solver(self, splitting: Splitting, trial: Trial, pairs: Pairs) -> Solver:
-        solve = splitting.solver(pairs)
-        return cache(solve if self.max_radius is None else bounded(solve, trial.theta, trial.scale, self.max_radius))
-
-    def _search(self, splitting: Splitting, solve: Solver, trial: Trial) -> AlphaSearch:
-        """Fit on all but a few training episodes, roll these out, choose alpha by the median error."""
-        assert trial.held is not None
-        training, held, names = trial.held
-        default = getattr(splitting, "alphas", GRIDS[self.penalty])
-        grid = np.array(default if self.alphas is None else self.alphas, dtype=np.float64)
-        if training is not trial.pairs:
-            trial, solve = replace(trial, base=trial.learning), self._solver(splitting, trial, training)
-        weights = state_weights(trial.theta, trial.pairs)
-        errors = np.array([self._held_out_error(trial, solve(a).K, held, weights) for a in grid.tolist()])
-        asked = None if trial.excitation is None else lambda alpha: trial.bounds(solve(alpha).K)
-        return choose(grid, errors, self.cv_tolerance, names, asked)
-
-    def _held_out_error(self, trial: Trial, k: Array, held: Episodes, weights: Array) -> float:
-        """Median error of roll-outs of held-out episodes with the dynamics ``k``."""
-        if not np.isfinite(k).all():
-            return np.inf
-        return rollout_errors(trial.model(k), held, self.cv_states, weights).median
+        self.lifted = replace(problem.model(fit.K), provenance=provenance)
+        self.theta_, self.fit_, self.K_ = problem.theta, fit, fit.K
+        self.alpha_, self.cv_, self.bounded_ = choice.alpha, choice.search, choice.bounded
+        return self
 
     def _fitted(self) -> LiftedModel:
         if not hasattr(self, "lifted"):
             raise ValueError(f"{type(self).__name__} is not fitted; call fit first")
         return self.lifted
+
+
+def check_options(
+    theta: Any, alpha: Any, scale: Any, alphas: Any, cv_tolerance: Any, max_radius: Any, cv_states: Any = None
+) -> None:
+    """Raise ValueError for options that every estimator has and that can be nothing of their kind, in one line.
+
+    ``theta`` is a Dictionary, ``alpha`` a number of at least zero or "cv", ``scale`` "quantity", "column" or None,
+    ``alphas`` numbers of at least zero or None, ``cv_tolerance`` a number of at least zero, ``max_radius`` a positive
+    number or None, ``cv_states`` a name, names, positions or None.
+    """
+    if not isinstance(theta, Dictionary):
+        raise ValueError(f"theta is a {type(theta).__name__}; expected a Dictionary")
+    if isinstance(alpha, str):
+        if alpha != "cv":
+            raise ValueError(f"alpha = {alpha!r}; expected a number of at least zero, or 'cv'")
+    else:
+        non_negative(alpha, "alpha")
+    if scale is not None:
+        one_of(scale, "scale", SCALINGS)
+    if alphas is not None:
+        if isinstance(alphas, str) or not np.iterable(alphas) or not len(list(alphas)):
+            raise ValueError(f"alphas = {alphas!r}; expected numbers to choose alpha from, at least one")
+        for value in alphas:
+            non_negative(value, "alphas hold a value that")
+    non_negative(cv_tolerance, "cv_tolerance")
+    if max_radius is not None:
+        positive(max_radius, "max_radius")
+    if not (cv_states is None or isinstance(cv_states, str) or np.iterable(cv_states)):
+        raise ValueError(f"cv_states = {cv_states!r}; expected an output group, names or positions of states")
 
 
 def _checked(pairs: Pairs, d1: Episodes, theta: Dictionary) -> Pairs:

@@ -8,7 +8,9 @@ from pisplit.estimators.edmdc import DirectEDMDc
 
 
 class BilinearEDMDc(DirectEDMDc):
-    """B-EDMDc: z+ = A z + B phi(u) + sum_i u_i N_i z (paper, eq. of B-EDMDc; Bruder et al., 2021).
+    """B-EDMDc: z+ = A z + B phi(u) + sum_i u_i N_i z (paper, bilinear dictionary after eq. l_edmdc_dict).
+
+    Bruder, Fu and Vasudevan, IEEE Robotics and Automation Letters 6, 2021.
 
     The dictionary is that of LinearEDMDc; products of the inputs with all its lifted columns are added, or with those
     that its ``ob.Bilinear(columns)`` names. With states and the constant alone it is the paper's

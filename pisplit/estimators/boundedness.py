@@ -1,17 +1,25 @@
-"""A bound on the spectral radius of an identified operator; its exact rows, delays and the constant, stay."""
+"""Does a model stay bounded? A bound on its spectral radius, and roll-outs under the inputs it is made for.
+
+The bound leaves the exact rows of an operator, delays and the constant, as they are. Excitations need no recording of
+the answer.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pisplit.checks import finite_array
+from pisplit.data.episodes import Pairs
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.lifted.operators import operators
+from pisplit.lifted.model import LiftedModel
+from pisplit.lifted.operators import operators, state_range
 from pisplit.lifted.radius import limited_blocks
-from pisplit.splitting.base import Solver, SplitFit
+from pisplit.splitting import SplitFit
 
 Array = NDArray[np.float64]
 
@@ -19,27 +27,75 @@ Array = NDArray[np.float64]
 REACHED = 1e-6
 #: What rounding may add to the radius.
 SLACK = 1e-9
+#: A model that takes a state so many times as far as the data of its quantity reach is not bounded: inputs of the
+#: recorded kind do not move a stable system there, and a model that goes so far is on its way to where it diverges.
+EXCURSION = 3.0
+#: Roll-outs side by side.
+BATCH = 16
 
 
-def bounded(solve: Solver, theta: Dictionary, scale: Array, bound: float) -> Solver:
-    """The same solver with the spectral radius of A at most ``bound``; ``details`` keep the radius before."""
+@dataclass(frozen=True)
+class Excitation:
+    """Roll-outs that a model has to survive: E input sequences from states of the data.
 
-    def limited(alpha: float) -> SplitFit:
-        fit = solve(alpha)
-        if not np.isfinite(fit.K).all():
-            return fit
-        before = transition_radius(theta, fit.K)
-        if before <= bound * (1.0 + SLACK):
-            return fit
-        return replace(
-            fit, K=limited_rows(theta, fit.K, scale, bound), details={**fit.details, "unbounded_radius": before}
+    inputs     (E, T, m)
+    x_history  (E, D+1, n) and u_history (E, D, m), where each begins: the pair of the data with the most similar input
+    limit      (n,) magnitude that no state may exceed
+    """
+
+    inputs: Array
+    x_history: Array
+    u_history: Array
+    limit: Array
+
+    @classmethod
+    def of(cls, inputs: ArrayLike, data: Sequence[Pairs], quantities: Sequence[str]) -> Excitation:
+        """Input sequences (E, T, m) beginning in the largest of ``data``; limits from all of them, by quantity (n,).
+
+        Raises ValueError for inputs of another shape.
+        """
+        sequences = finite_array(inputs, "excitation", (None, None, data[0].inputs.shape[1]))
+        if 0 in sequences.shape:
+            raise ValueError(f"excitation has the shape {sequences.shape}; expected input sequences (E, T, m)")
+        starts = max(data, key=len)
+        u = starts.u
+        nearest = starts.take([int(np.argmin(((u - first) ** 2).sum(axis=1))) for first in sequences[:, 0]])
+        return cls(
+            inputs=sequences,
+            x_history=nearest.x_history,
+            u_history=nearest.u_history,
+            limit=EXCURSION * np.max([state_range(pairs, quantities) for pairs in data], axis=0),
         )
 
-    return limited
+    def bounds(self, model: LiftedModel) -> bool:
+        """True if no state of any roll-out exceeds its limit."""
+        starts = [model.lift(x, u) for x, u in zip(self.x_history, self.u_history, strict=True)]
+        for first in range(0, len(starts), BATCH):  # most models that are not bounded show it at once
+            part = slice(first, first + BATCH)
+            found = model.rollout(np.stack(starts[part]), self.inputs[part])
+            if np.any(found.diverged) or np.any(np.abs(found.x) > self.limit):
+                return False
+        return True
+
+
+def limited(fit: SplitFit, theta: Dictionary, scale: Array, bound: float) -> SplitFit:
+    """``fit`` with the spectral radius of A at most ``bound``; ``details`` keep the radius before.
+
+    ``theta`` is its dictionary of M columns, ``scale`` (M,) are their units.
+    """
+    if not np.isfinite(fit.K).all():
+        return fit
+    before = transition_radius(theta, fit.K)
+    if before <= bound * (1.0 + SLACK):
+        return fit
+    return replace(fit, K=limited_rows(theta, fit.K, scale, bound), details={**fit.details, "unbounded_radius": before})
 
 
 def transition_radius(theta: Dictionary, k: Array) -> float:
-    """Spectral radius of A without the constant (its eigenvalue is 1) and past inputs (theirs are 0)."""
+    """Spectral radius of A for the learned rows ``k`` (S, M) of ``theta``.
+
+    The constant (its eigenvalue is 1) and past inputs (theirs are 0) are left out.
+    """
     moving = _moving(theta)
     values = np.linalg.eigvals(operators(theta, k)["A"][np.ix_(moving, moving)])
     return float(np.abs(values).max(initial=0.0))

@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pisplit.checks import non_negative, positive
 from pisplit.data.episodes import Episodes, Pairs
-from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.base import Equilibria, Estimator
+from pisplit.estimators.base import GRIDS, Equilibria, Estimator, check_options
 from pisplit.regression import check_penalty
-from pisplit.splitting.base import Direct, SplitContext, Splitting
-
-Array = NDArray[np.float64]
+from pisplit.splitting import Direct, SplitContext
 
 _D = TypeVar("_D", bound="DirectEDMDc")
 
@@ -55,12 +50,10 @@ class DirectEDMDc(Estimator):
         max_radius: float | None = None,
         solver: str = "auto",
     ) -> None:
+        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states)
+        check_penalty(penalty, solver, relative)
         self.theta = theta
         self.alpha = alpha
-        check_penalty(penalty, solver, relative)
-        non_negative(cv_tolerance, "cv_tolerance")
-        if max_radius is not None:
-            positive(max_radius, "max_radius")
         self.penalty = penalty
         self.scale = scale
         self.relative = relative
@@ -83,29 +76,23 @@ class DirectEDMDc(Estimator):
         counts as one pair, with the past equal to the present.
         ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
         the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
-        three times the magnitude of its quantity in the data (:class:`pisplit.estimators.excitation.Excitation`).
+        three times the magnitude of its quantity in the data (:class:`pisplit.estimators.boundedness.Excitation`).
         """
-        self._fit(d1, None, pairs, equilibria, excitation=excitation)
-        return self
-
-    def _splitting(self, context: SplitContext) -> Splitting:
-        return Direct(context)
-
-    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
-        return SplitContext(
-            theta=theta,
-            scale=scale,
-            dt=dt,
-            samples=samples,
+        problem = self._problem(d1, pairs, equilibria, excitation)
+        context = SplitContext(
+            theta=problem.theta,
+            scale=problem.scale,
+            dt=d1.dt,
             penalty=self.penalty,
-            toward="zero",
-            half_step="auto",
-            rows=None,
-            relative=self.relative,
             solver=self.solver,
-            generator_alpha=0.0,
+            relative=self.relative,
         )
+        return self._keep(problem, self._choose(problem, Direct(context).fit, GRIDS[self.penalty]))
 
 
 class LinearEDMDc(DirectEDMDc):
-    """L-EDMDc: z+ = A z + B phi(u) (paper; Korda and Mezic, Automatica 93, 2018). Options: :class:`DirectEDMDc`."""
+    """L-EDMDc: z+ = A z + B phi(u) with Theta = [Theta_x; u] (paper, eq. l_edmdc_dict), by :class:`DirectEDMDc`.
+
+    Korda and Mezic, Automatica 93, 2018. Inputs stay linear; with u out of Theta_x it is the block form of the paper,
+    eq. hilbert_split. Options: :class:`DirectEDMDc`.
+    """

@@ -9,16 +9,20 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import non_negative, positive
+from pisplit.checks import positive
 from pisplit.data.episodes import Episodes, Pairs
-from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.base import Equilibria, Estimator
+from pisplit.estimators.base import Equilibria, Estimator, check_options
 from pisplit.regression.moments import Moments
 from pisplit.regression.scaling import column_scales
-from pisplit.splitting.base import Solver, SplitContext, SplitFit, Splitting, pair_moments
+from pisplit.splitting import SplitFit, pair_moments
 
 Array = NDArray[np.float64]
+
+#: Default grid of alpha="cv": from the data alone to the twin alone.
+WEIGHTS = tuple(np.logspace(-8, 4, 13).tolist())
+#: Times that mu is made ten times larger in search of a model that stays bounded.
+STIFFER = 12
 
 
 class TwinEDMDc(Estimator):
@@ -43,7 +47,6 @@ class TwinEDMDc(Estimator):
     After ``fit`` as :class:`pisplit.estimators.base.Estimator`.
     """
 
-    penalty = "ridge"
     twin_alpha_: float
 
     def __init__(
@@ -58,10 +61,8 @@ class TwinEDMDc(Estimator):
         cv_tolerance: float = 0.0,
         max_radius: float | None = None,
     ) -> None:
+        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states)
         positive(twin_alpha, "twin_alpha")
-        non_negative(cv_tolerance, "cv_tolerance")
-        if max_radius is not None:
-            positive(max_radius, "max_radius")
         self.theta = theta
         self.alpha = alpha
         self.twin_alpha = twin_alpha
@@ -90,33 +91,26 @@ class TwinEDMDc(Estimator):
             raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")
         if isinstance(d1, Episodes):
             _check_alike(d1, twin)
-        self._twin = twin.pairs(self.theta.n_delays)
-        try:
-            self._fit(d1, None, pairs, equilibria, self._twin, excitation)
-        finally:
-            del self._twin  # a fitted model keeps none of its data
+        simulated = twin.pairs(self.theta.n_delays)
+        problem = self._problem(d1, pairs, equilibria, excitation, simulated)
+        fusion = Fusion(problem.theta, simulated, self.twin_alpha, self.scale, self.omit)
+        best = last = self._choose(problem, fusion.fit, WEIGHTS)
+        # Where what rolls out best is not bounded, mu grows until something is and the bounded choice is at its best.
+        for _ in range(STIFFER):
+            if not last.refused:
+                break
+            fusion = fusion.stiffer()
+            last = self._choose(problem, fusion.fit, WEIGHTS)
+            if last.rank < best.rank:
+                best = last
+            elif best.bounded:
+                break
+        self._keep(problem, best)
         self.twin_alpha_ = float(self.fit_.details["twin_alpha"])
         return self
 
     def _dictionary(self, d1: Episodes) -> Dictionary:
         return self.theta.named_after(d1)
-
-    def _splitting(self, context: SplitContext) -> Splitting:
-        return Fusion(context, self._twin, self.twin_alpha, self.scale, self.omit)
-
-    def _context(self, theta: Dictionary, scale: Array, dt: float, samples: PhaseSamples | None) -> SplitContext:
-        return SplitContext(
-            theta=theta,
-            scale=scale,
-            dt=dt,
-            samples=None,
-            penalty="ridge",
-            toward="zero",
-            half_step="auto",
-            rows=None,
-            relative=True,
-            generator_alpha=0.0,
-        )
 
 
 class Fusion:
@@ -124,17 +118,17 @@ class Fusion:
 
     Rows that stand for the recorded pairs, for the twin's and for the ridge are stacked with the roots of their weights
     and reduced by orthogonal transformations; nothing is squared.
+
+    theta       dictionary with the names of the data
+    twin        pairs of the twin
+    twin_alpha, scale, omit  as in :class:`TwinEDMDc`
     """
 
-    #: Default grid of alpha="cv": from the data alone to the twin alone.
-    alphas = tuple(np.logspace(-8, 4, 13).tolist())
-
     def __init__(
-        self, context: SplitContext, twin: Pairs, twin_alpha: float, scale: str | None, omit: Sequence[str]
+        self, theta: Dictionary, twin: Pairs, twin_alpha: float, scale: str | None, omit: Sequence[str]
     ) -> None:
-        theta, size = context.theta, context.theta.n_columns
+        size = theta.n_columns
         moments = pair_moments(theta, twin)
-        self.context = context
         self.scale = column_scales(moments.std[:size], theta.column_quantities, scale)
         self.omitted = _omitted(theta, omit)
         self.own = self.scale[theta.learned_columns]
@@ -151,24 +145,19 @@ class Fusion:
         if self.constant is not None:
             self.ridge[self.constant] = 0.0
 
-    def solver(self, pairs: Pairs) -> Solver:
-        """A function alpha -> fit for these pairs."""
-        a, y = self._means(self.context.moments(pairs))
+    def fit(self, moments: Moments, alpha: float) -> SplitFit:
+        """K from ``moments`` of recorded pairs, the twin's weighed by ``alpha``."""
+        a, y = self._means(moments)
         a_twin, y_twin = self.twin
-        nothing = np.zeros((len(self.ridge), y.shape[1]))
-
-        def solve(alpha: float) -> SplitFit:
-            weight, ridge = np.sqrt(alpha), np.sqrt(1.0 + alpha)
-            rows = np.vstack([a, weight * a_twin, ridge * self.ridge])
-            q, triangle = scipy.linalg.qr(rows, mode="economic")
-            target = q.T @ np.vstack([y, weight * y_twin, nothing])
-            k = scipy.linalg.solve_triangular(triangle, target).T
-            if self.constant is not None:
-                k[:, self.constant] -= k @ self.shift
-            details = {"twin_alpha": self.twin_alpha}
-            return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=len(triangle), details=details)
-
-        return solve
+        weight, ridge = np.sqrt(alpha), np.sqrt(1.0 + alpha)
+        rows = np.vstack([a, weight * a_twin, ridge * self.ridge])
+        q, triangle = scipy.linalg.qr(rows, mode="economic")
+        target = q.T @ np.vstack([y, weight * y_twin, np.zeros((len(self.ridge), y.shape[1]))])
+        k = scipy.linalg.solve_triangular(triangle, target).T
+        if self.constant is not None:
+            k[:, self.constant] -= k @ self.shift
+        details = {"twin_alpha": self.twin_alpha}
+        return SplitFit(K=k * self.own[:, None] / self.scale, alpha=alpha, rank=len(triangle), details=details)
 
     def stiffer(self) -> Fusion:
         """The same with ten times the ridge mu."""

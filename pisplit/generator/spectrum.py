@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pisplit.data.phase import PhaseSamples
+from pisplit.dictionary.dictionary import Dictionary
+from pisplit.generator.generator import (
+    PLAIN,
+    KnownOptions,
+    check_samples,
+    generator_moments,
+    regressed_generator,
+    static_columns,
+)
+from pisplit.regression.moments import Moments
+from pisplit.regression.scaling import column_scales
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -49,6 +62,51 @@ class Spectrum:
             f"{_text(self.values[i])} 1/s with residual {self.residuals[i]:.2g}, mostly {self.columns[i]}"
             for i in order
         )
+
+
+def generator_spectrum(
+    theta: Dictionary,
+    samples: PhaseSamples,
+    scale: Array | None = None,
+    alpha: float = 0.0,
+    options: KnownOptions = PLAIN,
+) -> Spectrum:
+    """Eigenvalues and eigenfunctions of the generator of f on the span of the dictionary, with residuals.
+
+    ``theta``: dictionary of M columns; ``samples``: D2; ``scale`` (M,): column scales, default those of the samples,
+    one a quantity; ``alpha`` and ``options`` as in :func:`pisplit.generator.generator_edmd`. Delays take no part where
+    the samples have no past: they do not move with f.
+    """
+    check_samples(theta, samples)
+    used = static_columns(theta, options)
+    if scale is None:
+        plain = generator_moments(theta, samples, np.ones(theta.n_columns), options)
+        scale = np.ones(theta.n_columns)
+        scale[used] = column_scales(plain.std[: len(used)], [theta.column_quantities[i] for i in used])
+    moments = generator_moments(theta, samples, scale, options)
+    return spectrum_on(theta, regressed_generator(theta, moments, scale, alpha, options), moments, scale, options)
+
+
+def spectrum_on(theta: Dictionary, generator: Array, moments: Moments, scale: Array, options: KnownOptions) -> Spectrum:
+    """Eigenpairs of ``generator`` (M, M) on columns of ``theta`` divided by ``scale`` (M,).
+
+    Residuals are those on the samples of ``moments`` (:func:`pisplit.generator.generator.generator_moments`), in whose
+    columns, the static ones of ``options``, eigenfunctions are sought.
+    """
+    used = static_columns(theta, options)
+    data = moments.rows(centred=False)
+    lie = np.zeros((len(data), len(used)))
+    lie[:, : theta.n_present] = data[:, len(used) :]
+    names = [theta.column_names[i] for i in used]
+    found = spectrum(generator[np.ix_(used, used)], data[:, : len(used)], lie, scale[used], names, moments.n_samples)
+    functions = np.zeros((len(found.values), theta.n_columns), dtype=np.complex128)
+    functions[:, used] = found.functions
+    return replace(found, functions=functions)
+
+
+def spectral_radius(matrix: Array) -> float:
+    """Largest magnitude of an eigenvalue of ``matrix`` (M, M)."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
 
 
 def spectrum(

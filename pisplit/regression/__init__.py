@@ -3,7 +3,7 @@
 They work on moments that are accumulated in blocks; penalties act on K - prior, ``free`` marks what may differ from it.
 """
 
-from pisplit.regression.lasso import SOLVERS, alpha_max, lasso, lasso_path
+from pisplit.regression.lasso import SOLVERS, alpha_max, composed_lasso, lasso, lasso_path
 from pisplit.regression.least_squares import composed_ridge, least_squares, ridge
 from pisplit.regression.moments import Moments, accumulate, triangular_factor
 from pisplit.regression.multi_target import Regression
@@ -22,6 +22,7 @@ __all__ = [
     "alpha_max",
     "check_penalty",
     "column_scales",
+    "composed_lasso",
     "composed_ridge",
     "lasso",
     "lasso_path",

@@ -82,6 +82,18 @@ def lasso_path(
     return tuple(fits[i] for i in range(len(weights)))
 
 
+def composed_lasso(f: Array, a: Array, y: Array, alpha: float, solver: str = "auto") -> Regression:
+    """H (r, M) = argmin |A H^T F^T - Y|^2 + alpha |H|_1 for a known F (S, r), A (N, M) and Y (N, S).
+
+    One LASSO of all r M entries, on the Kronecker product of the triangles of A and F; ``solver`` as in :func:`lasso`.
+    """
+    q_a, r_a = np.linalg.qr(a)
+    q_f, r_f = np.linalg.qr(f)
+    target = (q_a.T @ y @ q_f).reshape(-1, 1)
+    found = lasso(np.kron(r_a, r_f), target, alpha, solver=solver)
+    return Regression(K=found.K.reshape(a.shape[1], f.shape[1]).T, gaps=found.gaps)
+
+
 class _Triangular:
     """The targets of one group; a tall A becomes a triangle: |A k - y|^2 = |R k - b|^2 + rest."""
 

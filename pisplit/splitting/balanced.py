@@ -7,15 +7,16 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from pisplit.checks import finite_array
-from pisplit.data.episodes import Pairs
-from pisplit.generator.generator import generator_edmd, spectral_radius
-from pisplit.regression import composed_ridge
-from pisplit.splitting.base import Solver, SplitContext, SplitFit
+from pisplit.generator import generator_edmd, spectral_radius
+from pisplit.regression import composed_lasso, composed_ridge
+from pisplit.regression.moments import Moments
+from pisplit.splitting.base import SplitContext, SplitFit, Unknown
 from pisplit.splitting.options import check_options, directions, generator_samples, ports
 
 Array = NDArray[np.float64]
 
-OPTIONS = ("tangent", "equilibrium", "ports", "loads")
+#: Grids of alpha="cv".
+GRIDS = {"ridge": tuple(np.logspace(-10, 1, 12).tolist()), "lasso": tuple(np.logspace(-8, 0, 9).tolist())}
 
 
 class Balanced:
@@ -34,59 +35,63 @@ class Balanced:
         ports        (S, r) directions P of h; default: unit vectors of ``rows`` (all learned columns).
         loads        (q, S) rows D that select what h depends on, from the deviation; default: all of it.
 
-    ``alpha`` weighs |H|^2 in units of ports and loads in which the data are of size one; the residual is that of the
-    composed map, F is never inverted. Gains are those of the kick: 1 + dt P H D stands for exp(dt P H_h D). It is a
-    ridge whatever ``penalty`` says; ``toward`` and ``half_step`` play no part. A large alpha leaves the known part,
-    H = 0.
+    ``alpha`` weighs |H|^2 (ridge) or |H|_1 (LASSO) in units of ports and loads in which the data are of size one; the
+    residual is that of the composed map, F is never inverted. Gains are those of the kick: 1 + dt P H D stands for
+    exp(dt P H_h D). A large alpha leaves the known part, H = 0.
 
     Source: balanced splitting after Speth, Green, MacNamara and Strang, SIAM J. Numer. Anal. 51 (2013).
     """
 
-    #: Default grid of alpha="cv".
-    alphas = tuple(np.logspace(-10, 1, 12).tolist())
-
     def __init__(self, context: SplitContext) -> None:
-        check_options(context, "balanced", OPTIONS)
+        check_options(context, "balanced")
         options, theta = context.options, context.theta
         if "equilibrium" not in options:
             raise ValueError("split='balanced' needs options['equilibrium'], E (S, P) with psi_eq(u) = E phi(u)")
-        learned, size = theta.learned_columns, len(theta.learned_columns)
-        samples = generator_samples(context, "balanced")
-        generator = generator_edmd(theta, samples, np.ones(theta.n_columns), context.generator_alpha)
+        size = len(theta.learned_columns)
         self.context = context
-        self.half = np.asarray(scipy.linalg.expm(0.5 * context.dt * generator[np.ix_(learned, learned)]))
+        self.alphas = GRIDS[context.penalty]
+        self.samples = generator_samples(context, "balanced")
         shape = (size, theta.n_features)
         self.equilibrium = finite_array(options["equilibrium"], "options['equilibrium']", shape)
         self.ports = ports(context)
         self.loads = directions(options["loads"], "loads", (None, size)) if "loads" in options else np.eye(size)
 
-    def solver(self, pairs: Pairs) -> Solver:
-        """A function alpha -> fit for these pairs."""
-        theta, context = self.context.theta, self.context
-        learned, size = theta.learned_columns, theta.n_columns
-        scale = context.scale[learned]
-        known, features = self._rows()
-        push = context.dt * self.half @ self.ports
-        moments = context.moments(pairs)
+    def known(self) -> Array:
+        """F (S, S) of the deviation from an equilibrium (paper, eq. cont_koopman_solve and eq. matrix_exp)."""
+        context, learned = self.context, self.context.theta.learned_columns
+        ones = np.ones(context.theta.n_columns)
+        generator = generator_edmd(context.theta, self.samples, ones, context.generator_alpha, context.known)
+        return np.asarray(scipy.linalg.expm(0.5 * context.dt * generator[np.ix_(learned, learned)]))
+
+    def unknown(self, k_f: Array, moments: Moments, alpha: float) -> Unknown:
+        """H between two half steps ``k_f`` = F, from ``moments`` of pairs; ``alpha`` weighs the penalty."""
+        context, size = self.context, self.context.theta.n_columns
+        scale = context.scale[context.theta.learned_columns]
         data = moments.rows(centred=False)
         a, y = data[:, :size], data[:, size:]
+        known, features = self._rows(k_f)
         residual = (y - a @ known.T) / scale
-        regressors, factor = a @ features.T, push / scale[:, None]
+        regressors, factor = a @ features.T, context.dt * k_f @ self.ports / scale[:, None]
         load_unit, port_unit = _sizes(regressors), _sizes(factor)
         regressors, factor = regressors / load_unit, factor / port_unit
-        unit = float((regressors**2).mean(axis=1).sum() * (factor**2).mean(axis=1).sum())
-
-        def solve(alpha: float) -> SplitFit:
+        if context.penalty == "lasso" and alpha > 0.0:
+            unit = 2.0 * float(np.abs(regressors.T @ residual @ factor).max())
+            weight = context.weight(alpha, unit, moments.n_samples)
+            fit = composed_lasso(factor, regressors, residual, weight, context.solver)
+        else:
+            unit = float((regressors**2).mean(axis=1).sum() * (factor**2).mean(axis=1).sum())
             weight = context.weight(alpha, unit, moments.n_samples)
             fit = composed_ridge(factor, regressors, residual, weight)
-            gains = fit.K / port_unit[:, None] / load_unit
-            k = known + push @ gains @ features
-            details = {"gains": gains.tolist(), "radius": spectral_radius(k[:, learned])}
-            return SplitFit(K=k, alpha=weight, rank=fit.rank, details=details)
+        return Unknown(fit.K / port_unit[:, None] / load_unit, weight, fit.rank, fit.gap)
 
-        return solve
+    def composed(self, k_f: Array, k_h: Unknown) -> SplitFit:
+        """The map of the half steps ``k_f`` about the equilibria and the gains ``k_h``."""
+        known, features = self._rows(k_f)
+        k = known + self.context.dt * k_f @ self.ports @ k_h.K @ features
+        details = {"gains": k_h.K.tolist(), "radius": spectral_radius(k[:, self.context.theta.learned_columns])}
+        return SplitFit(k, k_h.alpha, k_h.rank, k_h.gap, details)
 
-    def _rows(self) -> tuple[Array, Array]:
+    def _rows(self, half: Array) -> tuple[Array, Array]:
         """The known map (S, M) with H = 0 and what h depends on (q or 2 q, M), both as rows on Theta."""
         theta = self.context.theta
         learned, features = theta.learned_columns, theta.n_features
@@ -95,8 +100,8 @@ class Balanced:
         end[:, theta.n_lifted :] = self.equilibrium
         past = theta.n_lifted - features if theta.input_delays else theta.n_lifted
         start[:, past : past + features] = self.equilibrium
-        middle = start + self.half @ (state - start)
-        known = end + self.half @ (middle - end)
+        middle = start + half @ (state - start)
+        known = end + half @ (middle - end)
         parts = [middle - 0.5 * (start + end)] + ([end - start] if theta.input_delays else [])
         return known, np.vstack([self.loads @ part for part in parts])
 

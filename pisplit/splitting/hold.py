@@ -12,23 +12,34 @@ unknown part can act (ports) and D the features it can depend on.
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pisplit.checks import finite_array
-from pisplit.data.episodes import Pairs
-from pisplit.generator.generator import generator_edmd
-from pisplit.regression import penalised, unit_weight
-from pisplit.splitting.base import Solver, SplitContext, SplitFit
+from pisplit.generator import generator_edmd, spectral_radius
+from pisplit.regression.moments import Moments
+from pisplit.splitting.base import SplitContext, SplitFit, Unknown
 from pisplit.splitting.options import check_options, directions, generator_samples, ports
+from pisplit.splitting.two_stage import departed, departure
 
 Array = NDArray[np.float64]
 
-OPTIONS = ("tangent", "equilibrium", "ports", "loads")
 #: Grids of alpha="cv": from the data alone to the physical map alone.
 GRIDS = {"ridge": tuple(np.logspace(-8, 3, 12).tolist()), "lasso": (0.0, *np.logspace(-8, 0, 9).tolist())}
+
+
+@dataclass(frozen=True)
+class KnownRates:
+    """d/dt psi = drift psi + drive [phi; 1]: ``drift`` (S, S) and ``drive`` (S, P + 1) of the known part [1/s]."""
+
+    drift: Array
+    drive: Array
 
 
 class Hold:
@@ -50,58 +61,74 @@ class Hold:
     """
 
     def __init__(self, context: SplitContext) -> None:
+        check_options(context, "hold")
         theta = context.theta
-        check_options(context, "hold", OPTIONS)
-        self.alphas = GRIDS[context.penalty]
-        samples = generator_samples(context, "hold")
+        self.samples = generator_samples(context, "hold")
         self.context = context
+        self.alphas = GRIDS[context.penalty]
         self.learned = theta.learned_columns
         self.inputs = np.arange(theta.n_lifted, theta.n_columns)
-        ones = np.ones(theta.n_columns)
-        generator = generator_edmd(theta, samples, ones, context.generator_alpha)
-        size, features = len(self.learned), len(self.inputs)
         self.scale = context.scale[self.learned]
-        self.drift = generator[np.ix_(self.learned, self.learned)]
-        self.drive = np.zeros((size, features + 1))  # of the inputs, and of the constant 1
-        self.drive[:, :features] = generator[np.ix_(self.learned, self.inputs)]
-        if theta.constant_column is not None:
-            self.drive[:, features] = generator[self.learned, theta.constant_column]
-        self.deviation = self._deviation(size, features)
-        if "equilibrium" in context.options:
-            self.drive = -self.drift @ self._equilibrium(size, features)
+        self.deviation = self._deviation(len(self.learned), len(self.inputs))
         self.ports = ports(context)
+        self.physical: tuple[Moments, Array, dict[str, Any]] | None = None
 
-    def solver(self, pairs: Pairs) -> Solver:
-        """A function alpha -> fit for these pairs."""
+    def known(self) -> KnownRates:
+        """L_f from phase samples (paper, eq. cont_koopman_solve): what the state and the inputs do to psi."""
         theta, context = self.context.theta, self.context
-        size = theta.n_columns
-        moments = context.moments(pairs)
+        ones = np.ones(theta.n_columns)
+        generator = generator_edmd(theta, self.samples, ones, context.generator_alpha, context.known)
+        size, features = len(self.learned), len(self.inputs)
+        drift = generator[np.ix_(self.learned, self.learned)]
+        drive = np.zeros((size, features + 1))
+        drive[:, :features] = generator[np.ix_(self.learned, self.inputs)]
+        if theta.constant_column is not None:
+            drive[:, features] = generator[self.learned, theta.constant_column]
+        if "equilibrium" in context.options:
+            drive = -drift @ self._equilibrium(size, features)
+        return KnownRates(drift, drive)
+
+    def unknown(self, k_f: KnownRates, moments: Moments, alpha: float) -> Unknown:
+        """H beside the known rates ``k_f`` from ``moments`` of pairs, then the departure that ``alpha`` weighs."""
+        if self.physical is None or self.physical[0] is not moments:  # a search over alpha asks again and again
+            self.physical = moments, *self._physical(k_f, moments)
+        _, physical, details = self.physical
+        return departure(self.context, physical, moments, alpha, details)
+
+    def composed(self, k_f: KnownRates, k_h: Unknown) -> SplitFit:
+        """The one-step map of the rates ``k_f`` and H, plus the departure ``k_h``."""
+        return departed(self.context, k_h)
+
+    def _physical(self, k_f: KnownRates, moments: Moments) -> tuple[Array, dict[str, Any]]:
+        """K_0 (S, M) in physical units, and facts about it."""
+        size = self.context.theta.n_columns
         data = moments.rows(centred=False)
-        gains = self._identify(data[:, :size], data[:, size:])
-        physical = self._discrete(gains)
-        rows = moments.scaled(np.concatenate([context.scale, self.scale])).rows(centred=False)
-        a, y = rows[:, :size], rows[:, size:]
-        prior = physical * context.scale / self.scale[:, None]
-        residual = y - a @ prior.T
-        unit = unit_weight(a, residual, context.penalty)
-        details = {"gains": gains.tolist(), "radius": float(np.abs(np.linalg.eigvals(self._transition(gains))).max())}
+        a, y = data[:, :size], data[:, size:]
+        if self._free() and np.linalg.matrix_rank(a / self.context.scale) == size:
+            warnings.warn(
+                "split='hold' leaves h free in every row and of every column, so that f has no effect on these data; "
+                "say where h acts: rows, options['ports'] or options['loads']",
+                stacklevel=8,
+            )
+        gains = self._identify(k_f, a, y)
+        transition = scipy.linalg.expm(self.context.dt * self._rates(k_f, gains)[:, : len(self.learned)])
+        return self._discrete(k_f, gains), {"gains": gains.tolist(), "radius": spectral_radius(transition)}
 
-        def solve(alpha: float) -> SplitFit:
-            weight = context.weight(alpha, unit, moments.n_samples)
-            fit = penalised(a, residual, weight, context.penalty, context.solver)
-            k = (prior + fit.K) * self.scale[:, None] / context.scale
-            return SplitFit(K=k, alpha=weight, rank=fit.rank, gap=fit.gap, details=details)
+    def _free(self) -> bool:
+        """True if P H D can be any generator: whatever f is, h makes up for it."""
+        everywhere = np.linalg.matrix_rank(self.ports) == len(self.learned)
+        wanted = len(self.learned) if "equilibrium" in self.context.options else self.context.theta.n_columns
+        past = 0 if "equilibrium" in self.context.options or not self.context.theta.input_delays else len(self.inputs)
+        return bool(everywhere and np.linalg.matrix_rank(self.deviation) >= wanted - past)
 
-        return solve
-
-    def _identify(self, a: Array, y: Array) -> Array:
+    def _identify(self, k_f: KnownRates, a: Array, y: Array) -> Array:
         """H (r, q) that minimises the one-step residual, from H = 0 (the known physics) by least squares."""
         shape = (self.ports.shape[1], self.deviation.shape[0])
-        unit = self._load_unit()
+        unit = self._load_unit(k_f)
 
         def residual(h: Array) -> Array:
             with np.errstate(over="ignore", invalid="ignore"):
-                difference = (y - a @ self._discrete(h.reshape(shape) * unit).T) / self.scale
+                difference = (y - a @ self._discrete(k_f, h.reshape(shape) * unit).T) / self.scale
             flat: Array = np.nan_to_num(difference, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
             return flat
 
@@ -109,28 +136,25 @@ class Hold:
         gains: Array = found.x.reshape(shape) * unit
         return gains
 
-    def _load_unit(self) -> Array:
+    def _load_unit(self, k_f: KnownRates) -> Array:
         """Size of each gain that changes the known drift by as much as itself: makes the unknowns comparable."""
         along = np.linalg.pinv(self.ports)
         size = len(self.learned)
-        natural = np.abs(along @ self.drift).max(axis=1, keepdims=True) if size else np.ones((0, 1))
+        natural = np.abs(along @ k_f.drift).max(axis=1, keepdims=True) if size else np.ones((0, 1))
         natural = np.maximum(natural, 1e-12 * max(1.0, float(natural.max(initial=1.0))))
         unit: Array = np.broadcast_to(natural, (self.ports.shape[1], self.deviation.shape[0])).copy()
         return unit
 
-    def _transition(self, gains: Array) -> Array:
-        size = len(self.learned)
-        step = scipy.linalg.expm(self.context.dt * (self.drift + self.ports @ gains @ self.deviation[:, :size]))
-        return np.asarray(step)
+    def _rates(self, k_f: KnownRates, gains: Array) -> Array:
+        """d/dt psi from [psi; phi; 1], known and unknown part (S, S + P + 1)."""
+        return np.hstack([k_f.drift, k_f.drive]) + self.ports @ gains @ self.deviation
 
-    def _discrete(self, gains: Array) -> Array:
+    def _discrete(self, k_f: KnownRates, gains: Array) -> Array:
         """Rows K (S, M) of the one-step map: Van Loan's exponential with inputs linear (or constant) over the step."""
         theta, dt = self.context.theta, self.context.dt
-        size, width = len(self.learned), self.drive.shape[1]
-        unknown = self.ports @ gains @ self.deviation
+        size, width = len(self.learned), k_f.drive.shape[1]
         block = np.zeros((size + 2 * width, size + 2 * width))
-        block[:size, :size] = self.drift + unknown[:, :size]
-        block[:size, size : size + width] = self.drive + unknown[:, size:]
+        block[:size, : size + width] = self._rates(k_f, gains)
         block[size : size + width, size + width :] = np.eye(width)
         step = np.asarray(scipy.linalg.expm(dt * block))
         held, ramp = step[:size, size : size + width], step[:size, size + width :] / dt

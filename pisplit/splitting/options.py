@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,16 +10,28 @@ from numpy.typing import NDArray
 
 from pisplit.checks import finite_array
 from pisplit.data.phase import PhaseSamples
-from pisplit.splitting.base import SplitContext, free_block
+from pisplit.splitting.base import SplitContext
+from pisplit.splitting.rows import free_block
 
 Array = NDArray[np.float64]
 
 
-def check_options(context: SplitContext, split: str, known: Sequence[str]) -> None:
-    """Raise ValueError for an option that ``split`` does not know, and for delays that it cannot take."""
-    unknown = set(context.options) - set(known)
+#: Names of the options of each splitting; those not listed have none.
+OPTIONS = dict.fromkeys(("balanced", "hold"), ("tangent", "equilibrium", "ports", "loads"))
+
+
+def check_names(options: Mapping[str, Any], split: str) -> None:
+    """Raise ValueError for ``options`` that the splitting ``split`` does not know."""
+    known = OPTIONS.get(split, ())
+    unknown = [name for name in options if name not in known]
     if unknown:
-        raise ValueError(f"options of split={split!r} are {', '.join(known)}; got {unknown.pop()!r}")
+        takes = f"options of split={split!r} are {', '.join(known)}" if known else f"split={split!r} takes no options"
+        raise ValueError(f"{takes}; got {unknown[0]!r}")
+
+
+def check_options(context: SplitContext, split: str) -> None:
+    """Raise ValueError for an option that ``split`` does not know, and for delays that it cannot take."""
+    check_names(context.options, split)
     if context.theta.state_delays or context.theta.input_delays > 1:
         raise ValueError(f"split={split!r} takes Delays(inputs=1) or no delays; the state of f has no past")
 
