@@ -197,6 +197,17 @@ def test_feed_forward_settles_where_the_statics_say() -> None:
     assert lost.fallbacks == 5 and not lost.u.any()
 
 
+def test_feed_forward_moves_no_faster_than_it_may() -> None:
+    forward = FeedForward(lambda y: y * STIFFNESS / GAIN, point_model(), -0.02, 0.02, [0.001, 0.002, 0.004])
+    jump = references.setpoint([[0.0, 0.0, 0.0], [0.08, -0.08, 0.08], [0.5, 0.5, 0.5]], [0.0, 0.3, 0.9])
+    log = run(PointOnSprings(), forward, jump, 60)
+    first = round(0.3 / DT)  # the step that ends at 0.3 s is the first that heads for the point
+    expected = [np.clip(rate * np.arange(1, 9), 0.0, 0.008) for rate in (0.001, 0.002, 0.004)]
+    np.testing.assert_allclose(log.u[first - 1 : first + 7], np.transpose(expected) * [1, -1, 1], atol=1e-15)
+    assert not log.u[: first - 1].any() and log.limit_violations == 0
+    np.testing.assert_allclose(log.u[-1], 0.02)  # 0.05 would be needed
+
+
 def test_a_run_starts_from_the_given_input() -> None:
     start = np.array([0.01, -0.01, 0.005])
     log = ClosedLoop(PointOnSprings(), controller(point_model())).run(

@@ -1,5 +1,8 @@
 """MPC: optimal where the QP is solved, admissible always."""
 
+from dataclasses import replace
+from typing import Any
+
 import casadi as ca
 import cvxpy as cp
 import numpy as np
@@ -7,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pisplit.controllers import MPC, QPSettings
+from pisplit.controllers import MPC, FeedForward, QPSettings
 from pisplit.controllers.mpc.qp import QP
 from pisplit.lifted.model import LiftedModel
 
@@ -47,44 +50,82 @@ def optimal_inputs(
     x: np.ndarray,
     r: np.ndarray,
     u0: np.ndarray,
-    limits: tuple[float, float, float],
-    **options: float,
+    limits: tuple[np.ndarray, np.ndarray, np.ndarray],
+    w: np.ndarray | None = None,
+    y_min: np.ndarray | None = None,
+    y_max: np.ndarray | None = None,
+    output_weight: np.ndarray | float = 1.0,
+    output_scale: np.ndarray | float = 1.0,
+    output_slack_weight: float = 1e3,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The MPC problem as its docstring states it, with states, solved by an interior-point method."""
+    """The MPC problem as its docstring states it, with states, solved by an interior-point method.
+
+    Disturbance w (n,) and read-out y = x + (what C misses of the measured x); rate weight 1e-2, input weight 1e-5.
+    """
     (low, high, rate), H, n = limits, len(r), model.n_states
     amplitude, tip = (high - low) / 2, [0, 1, 2]
     X, U, s = cp.Variable((H + 1, n)), cp.Variable((H, 3)), cp.Variable(H)
+    size = np.broadcast_to(output_scale, (3,))
+    read = X[1:] @ model.C[tip].T + np.tile(x[tip] - model.C[tip] @ x, (H, 1))
     v = cp.Variable((H, model.input_basis.shape[1]))
     moves = cp.diff(cp.vstack([u0[None, :], U]), axis=0)
-    rules = [X[0] == x, low <= U, high >= U, cp.abs(moves) <= rate, s >= 0]
+    rules = [X[0] == x, np.tile(low, (H, 1)) <= U, np.tile(high, (H, 1)) >= U, s >= 0]
+    rules += [cp.abs(moves) <= np.tile(rate, (H, 1))]
     rules += [np.tile(model.input_offset, (H, 1)) + v @ model.input_basis.T == U]
-    rules += [X[j + 1] == model.A @ X[j] + model.B @ U[j] + model.c for j in range(H)]
-    if "y_max" in options:
-        rules += [X[1:, tip] <= options["y_max"] + cp.reshape(s, (H, 1), order="C") @ np.ones((1, 3))]
-    cost = cp.sum_squares(1e3 * (X[1:, tip] - r)) + 1e4 * cp.sum_squares(moves / amplitude)
-    cost += 10.0 * cp.sum_squares((U - np.tile(model.input_offset, (H, 1))) / amplitude)
-    problem = cp.Problem(cp.Minimize((cost + 1e3 * cp.sum_squares(1e3 * s)) / 1e4), rules)
-    problem.solve(solver=cp.CLARABEL)
-    return np.asarray(U.value), np.asarray(X.value)[1:, tip]
+    rules += [X[j + 1] == model.A @ X[j] + model.B @ U[j] + model.c + (0.0 if w is None else w) for j in range(H)]
+    slack = cp.reshape(s, (H, 1), order="C") @ size[None, :]
+    if y_min is not None:
+        rules += [read >= np.tile(y_min, (H, 1)) - slack]
+    if y_max is not None:
+        rules += [read <= np.tile(y_max, (H, 1)) + slack]
+    weight = np.broadcast_to(output_weight, (3,)) * ~np.isnan(r)
+    missed = cp.multiply(np.sqrt(weight) / size, read - np.nan_to_num(r))
+    amplitudes = np.tile(amplitude, (H, 1))
+    cost = cp.sum_squares(missed) + 1e-2 * cp.sum_squares(moves / amplitudes)
+    cost += 1e-5 * cp.sum_squares((U - np.tile(model.input_offset, (H, 1))) / amplitudes)
+    cp.Problem(cp.Minimize(1e2 * (cost + output_slack_weight * cp.sum_squares(s))), rules).solve(solver=cp.CLARABEL)
+    return np.asarray(U.value), np.asarray(read.value)
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("options", [{}, {"y_max": 0.02}], ids=["inputs", "soft outputs"])
-def test_moves_solve_the_stated_problem(seed: int, options: dict[str, float]) -> None:
+SOFT: dict[str, dict[str, Any]] = {
+    "inputs": {},
+    "upper": {"y_max": np.full(3, 0.02)},
+    "lower": {"y_min": np.array([-0.01, -0.02, -0.01]), "output_slack_weight": 50.0},
+    "both, one absent": {"y_min": np.array([-0.03, -np.inf, -0.02]), "y_max": np.array([0.01, 0.02, np.inf])},
+    "weights and sizes": {
+        "y_max": np.full(3, 0.02),
+        "output_weight": np.array([1.0, 0.2, 3.0]),
+        "output_scale": np.array([1.0, 0.5, 2.0]),
+        "output_slack_weight": 20.0,
+    },
+}
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("options", SOFT.values(), ids=SOFT)
+def test_moves_solve_the_stated_problem(seed: int, options: dict[str, Any]) -> None:
+    """At three successive steps: the input before, the disturbance and what is free differ."""
     rng = np.random.default_rng(seed)
     model = arm_model(seed, basis=DIFFERENTIAL if seed % 2 else np.eye(3))
-    H, limits = 8, (-0.01, 0.012, 0.004)
-    x, r = 0.03 * rng.standard_normal(6), 0.1 * rng.standard_normal(3) + 0.02 * rng.standard_normal((H, 3))
-    u0 = model.input_offset
+    model = replace(model, C=np.eye(6) + 0.1 * rng.standard_normal((6, 6)))
+    H, limits = 8, (np.array([-0.01, -0.012, -0.009]), np.array([0.012, 0.01, 0.011]), np.array([0.004, 0.003, 0.005]))
     mpc = MPC(model, H, *limits, rate_weight=1e-2, input_weight=1e-5, qp=EXACT, **options)
-    mpc.reset(u0)
-    move = mpc.step(x, r)
-    U, y = optimal_inputs(model, x, r, u0, limits, **options)
-    assert move.status == "solved" and not move.fallback
-    np.testing.assert_allclose(move.u, U[0], atol=2e-6)
-    np.testing.assert_allclose(move.predicted, y, atol=2e-5)
-    active = np.isclose(np.abs(np.diff(U, axis=0, prepend=u0[None])), limits[2], atol=1e-6).any()
-    assert active or np.isclose(U, limits[0], atol=1e-6).any() or np.isclose(U, limits[1], atol=1e-6).any()
+    before = model.input_offset
+    mpc.reset(before)
+    bound, active = {"y_min": np.full(3, -np.inf), "y_max": np.full(3, np.inf)} | options, False
+    for k in range(3):
+        x, r = 0.03 * rng.standard_normal(6), 0.1 * rng.standard_normal(3) + 0.02 * rng.standard_normal((H, 3))
+        r[:, 1] = np.nan if k == 1 else r[:, 1]
+        move = mpc.step(x, r)
+        U, y = optimal_inputs(model, x, r, before, limits, mpc.disturbance, **options)
+        assert move.status == "solved" and not move.fallback
+        np.testing.assert_allclose(move.u, U[0], atol=2e-6)
+        np.testing.assert_allclose(move.predicted, y, atol=2e-5)
+        change = np.abs(np.diff(U, axis=0, prepend=before[None]))
+        active |= bool(np.isclose(change, limits[2], atol=1e-6).any())
+        active |= bool((y > bound["y_max"] + 1e-5).any() or (y < bound["y_min"] - 1e-5).any())
+        before = move.u
+    assert active
 
 
 def test_a_free_output_weighs_nothing() -> None:
@@ -219,6 +260,114 @@ def test_growth_over_the_horizon_is_warned_of() -> None:
         MPC(arm_model(0, n=80, radius=1.5), 20, -0.01, 0.01, 0.002)
 
 
+def test_weights_have_no_unit() -> None:
+    """The same arm in millimetres and in other input units moves alike."""
+    mm = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
+    metres, rng = arm_model(4), np.random.default_rng(4)
+    metres = replace(metres, state_range=np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0]))
+    other = replace(
+        metres,
+        A=mm[:, None] * metres.A / mm,
+        B=mm[:, None] * metres.B / 50.0,
+        c=mm * metres.c,
+        input_offset=50.0 * metres.input_offset,
+        state_range=mm * metres.state_range,
+    )
+    one = MPC(metres, 10, -0.01, 0.01, 0.003, y_max=0.05, qp=EXACT)
+    two = MPC(other, 10, -0.5, 0.5, 0.15, y_max=50.0, qp=EXACT)
+    for mpc, scale in ((one, 1.0), (two, 50.0)):
+        mpc.reset(scale * metres.input_offset)
+    for _ in range(4):
+        x, r = 0.05 * rng.standard_normal(6), 0.05 * rng.standard_normal((10, 3))
+        np.testing.assert_allclose(50.0 * one.step(x, r).u, two.step(mm * x, 1e3 * r).u, atol=1e-5)
+
+
+def test_a_larger_output_scale_counts_for_less() -> None:
+    """Two outputs that one input moves against each other: the finer one decides."""
+    model = replace(arm_model(0), A=np.zeros((6, 6)), B=np.vstack([[1.0, 0, 0], [-1.0, 0, 0], np.zeros((4, 3))]))
+    model = replace(model, c=np.zeros(6), input_offset=np.zeros(3), input_basis=np.eye(3))
+    r, found = np.full((4, 2), 1.0), []
+    for scale in ([0.1, 10.0], [10.0, 0.1]):
+        mpc = MPC(model, 4, -2.0, 2.0, 4.0, track=[0, 1], output_scale=scale, rate_weight=0.0, qp=EXACT)
+        found.append(mpc.step(np.zeros(6), r).u[0])
+    np.testing.assert_allclose(found, [1.0, -1.0], atol=1e-3)
+
+
+def shift_register() -> LiftedModel:
+    """y_{k+1} = u_k in three coordinates: the input is the output of the next step."""
+    model = arm_model(0)
+    return replace(
+        model, A=np.zeros((6, 6)), B=np.eye(6, 3), c=np.zeros(6), input_offset=np.zeros(3), input_basis=np.eye(3)
+    )
+
+
+def test_the_first_sample_of_the_window_is_that_of_the_next_step() -> None:
+    mpc = MPC(shift_register(), 6, -1.0, 1.0, 2.0, rate_weight=0.0, qp=EXACT)
+    for k in range(4):
+        window = np.random.default_rng(k).uniform(-0.5, 0.5, (6, 3))
+        move = mpc.step(np.zeros(6) if k == 0 else np.concatenate([u, np.zeros(3)]), window)  # noqa: F821
+        u = move.u
+        np.testing.assert_allclose(u, window[0], atol=1e-6)
+        np.testing.assert_allclose(move.predicted, window, atol=1e-6)
+
+
+def test_the_estimate_closes_the_gap_to_the_prediction_by_its_gain() -> None:
+    model, rng = arm_model(5), np.random.default_rng(5)
+    for gain in (0.0, 0.3, 1.0):
+        mpc = MPC(model, 5, -0.01, 0.01, 0.003, estimator_gain=gain)
+        mpc.reset(model.input_offset)
+        w, predicted = np.zeros(6), None
+        for _ in range(4):
+            x = 0.05 * rng.standard_normal(6)
+            u = mpc.step(x, np.zeros((5, 3))).u
+            if predicted is not None:
+                w = w + gain * (x - predicted)
+            np.testing.assert_allclose(mpc.disturbance, w, atol=1e-14)
+            predicted = model.A @ x + model.B @ u + model.c + w
+
+
+def test_a_constant_disturbance_is_found_with_its_sign() -> None:
+    model, load = arm_model(6), 1e-3 * np.arange(1.0, 7.0)
+    mpc = MPC(model, 5, -0.01, 0.01, 0.003)
+    mpc.reset(model.input_offset)
+    x = np.zeros(6)
+    for _ in range(60):
+        x = model.step(x, mpc.step(x, np.zeros((5, 3))).u) + load
+    np.testing.assert_allclose(mpc.disturbance, load, rtol=1e-6)
+
+
+@pytest.mark.parametrize("error", [0.9, 1.2])
+def test_a_wrong_read_out_leaves_no_offset(error: float) -> None:
+    """C = 0.9 or 1.2 where the output is the state: what it misses now it is taken to miss over the horizon."""
+    model = replace(arm_model(7, basis=np.eye(3)), C=error * np.eye(6))
+    mpc = MPC(model, 10, -0.1, 0.1, 0.01, rate_weight=1e-3)
+    mpc.reset(model.input_offset)
+    x, target = np.zeros(6), np.array([0.05, -0.03, 0.04])
+    for _ in range(300):
+        move = mpc.step(x, np.tile(target, (10, 1)))
+        x = model.step(x, move.u)
+    np.testing.assert_allclose(x[:3], target, atol=2e-4)
+    np.testing.assert_allclose(move.predicted[0], x[:3], atol=1e-4)
+
+
+def test_the_shifted_plan_and_its_multipliers_solve_the_next_problem() -> None:
+    """Far from the end of the horizon nothing new comes: the solver has nothing left to do, limits active or not."""
+    model = replace(arm_model(8, radius=0.3), input_basis=np.eye(3))
+    mpc = MPC(model, 12, -0.01, 0.01, 0.001, rate_weight=1e-3, y_max=0.01, qp=QPSettings(eps=1e-7, max_iterations=5000))
+    mpc.reset(model.input_offset)
+    target = np.tile(model.read(model.fixed_point([0.008, -0.006, 0.005]))[:3], (12, 1))
+    x, iterations, at_limit = np.zeros(6), [], 0
+    before = model.input_offset
+    for _ in range(10):
+        move = mpc.step(x, target)
+        x = model.step(x, move.u)
+        iterations.append(move.iterations)
+        at_limit += int(np.isclose(np.abs(move.u - before).max(), 0.001, atol=1e-8))
+        before = move.u
+    assert at_limit >= 3
+    assert max(iterations[1:]) <= iterations[0] / 8 and iterations[-1] == 10  # the first check of the solver
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -237,6 +386,24 @@ def test_growth_over_the_horizon_is_warned_of() -> None:
         ({"rate_weight": -1.0}, "rate_weight = -1"),
         ({"y_min": 0.1, "y_max": 0.0}, "y_min"),
         ({"estimator_gain": 1.5}, "estimator_gain = 1.5"),
+        ({"u_min": None}, "u_min = None; give the lower limits"),
+        ({"u_max": None}, "u_max = None; give the upper limits"),
+        ({"du_max": None}, "du_max = None; give the largest change per step"),
+        ({"u_min": 0.02, "u_max": -0.02}, "u_min = 0.02 is not below u_max = -0.02"),
+        ({"y_min": [0.0]}, "y_min = .* expected a number or 3 numbers"),
+        ({"output_scale": [1.0, 2.0]}, "output_scale = .* expected a number or 3 numbers"),
+        ({"output_scale": 0.0}, "output_scale"),
+        ({"output_slack_weight": 10.0}, "output_slack_weight has no effect without y_min or y_max"),
+        ({"output_slack_weight": 10.0, "y_max": np.inf}, "output_slack_weight has no effect"),
+        ({"output_slack_weight": 0.0, "y_max": 1.0}, "output_slack_weight = 0"),
+        ({"rate_weight": [1.0, 1.0]}, "rate_weight is not a number"),
+        ({"input_weight": None}, "input_weight is not a number"),
+        ({"horizon": 5.0}, "horizon = 5.0"),
+        ({"track": ["x0", "x7"]}, "'x7', which is no state of the model"),
+        ({"track": ["x0", 0]}, "names a state twice"),
+        ({"track": []}, "axes"),
+        ({"axes": (0, 0)}, "axes"),
+        ({"axes": (0.5,)}, "axes"),
     ],
 )
 def test_wrong_arguments_raise_one_line(changes: dict[str, object], message: str) -> None:
@@ -258,3 +425,28 @@ def test_wrong_measurements_and_references_raise() -> None:
         mpc.reset([0.05, 0.0, 0.0])
     with pytest.raises(ValueError, match="input_basis"):
         MPC(arm_model(0, basis=np.zeros((3, 0))), 5, -0.01, 0.01, 0.002)
+    for wrong in ({"eps": 0.0}, {"max_iterations": 0}, {"first_max_iterations": 2.5}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            QPSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_model_without_inputs_controls_nothing() -> None:
+    base = arm_model(0)
+    x, v, u = ca.SX.sym("x", 6), ca.SX.sym("v", 0, 0), ca.SX.sym("u", 0)
+    free = replace(
+        base,
+        B=np.zeros((6, 0)),
+        input_names=(),
+        feature_names=(),
+        input_offset=np.zeros(0),
+        input_basis=np.zeros((0, 0)),
+        lift_function=ca.Function("lift", [x, v], [x]),
+        input_function=ca.Function("phi", [u], [u]),
+        input_units=None,
+    )
+    for make in (
+        lambda: MPC(free, 5, -1.0, 1.0, 0.1),
+        lambda: FeedForward(lambda y: np.zeros(0), free, -1.0, 1.0, 0.1),
+    ):
+        with pytest.raises(ValueError, match="the model has no inputs: nothing can be controlled"):
+            make()
