@@ -21,6 +21,8 @@ from pisplit.models.rod.terms.routing import Helix, Line, Route, checked_routes,
 SLACK_STRAIN = 1e-5
 #: Turning over the length of the rod in rad below which capstan friction sets in smoothly.
 TURN_FLOOR = 1e-3
+#: Offsets in m that are rounding, such as the sine of 180 degrees.
+IN_PLANE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -210,7 +212,7 @@ class Tendons:
         n = self._n_loaded(rule)
         for route in self.offsets:
             r, slope = sample(route, rule.nodes[:n], rod.length)
-            if rod.strain_set.planar and (np.any(r[1]) or np.any(slope[1])):
+            if rod.strain_set.planar and max(np.abs(r[1]).max(), np.abs(slope[1]).max() * rod.length) > IN_PLANE:
                 raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
 
     def _n_loaded(self, rule: Rule) -> int:
