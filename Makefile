@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 SOURCES := $(shell find pisplit models controllers -name '*.py')
 ARGS ?=
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench mutants clean
 
 demo: $(VENV)/.package
 	$(BIN)/python scripts/mpc_demo.py $(ARGS)
@@ -21,6 +21,10 @@ lint: $(VENV)/.package
 
 bench: $(VENV)/.package
 	$(BIN)/python scripts/benchmarks/benchmark.py $(ARGS)
+
+# At most 30 minutes on two idle cores; goes on where it was stopped (docs/testing.md).
+mutants: $(VENV)/.package
+	$(BIN)/python scripts/mutants.py $(ARGS)
 
 # The package is installed, not linked: tests and scripts see what a user's pip install gives.
 $(VENV)/.package: $(VENV)/.dependencies $(SOURCES) README.md
