@@ -35,7 +35,7 @@ RATE_WEIGHTS = (0.02, 0.2)
 CV_TOLERANCE = 0.3
 #: Penalties of the LASSO, in parts of the one that leaves the physical map alone; smaller ones leave no entry at it.
 LASSO_ALPHAS = tuple(np.logspace(-6, 0, 7).tolist())
-#: Sparse models near the best roll-out can limit-cycle at a set-point; the sparsest within 50 % does not (seeds 0 to 3).
+#: Sparse models near the best roll-out can limit-cycle at a set-point; the sparsest within 50 % did not on seeds 0 to 3.
 LASSO_TOLERANCE = 0.5
 
 
@@ -60,7 +60,7 @@ def arguments() -> argparse.Namespace:
 def fit_models(arm: TendonArm, physics: ArmPhysics, d1: Episodes, d2: PhaseSamples) -> dict[str, LinearEDMDc | PIEDMDc]:
     """L-EDMDc on the 144 fields (no delays: with four it tracks far worse) and PI-EDMDc with the hold split.
 
-    PI-EDMDc departs from its physical map by ridge, and once more sparsely, by LASSO solved as the convex problem it is.
+    PI-EDMDc departs from its physical map by ridge, and once more sparsely, by LASSO solved as a convex problem.
     """
     plain = Dictionary(
         ob.Constant(), ob.Identity(), ob.Delays(inputs=1), n_states=d1.n_states, n_inputs=arm.scene.n_inputs

@@ -173,9 +173,12 @@ class Episodes:
             ordered,
             xs=[x * factors for x in ordered.xs],
             us=[u * scales for u in ordered.us],
-            units=[new if f != 1.0 else old for f, new, old in zip(factors, units or (), ordered.units or ())],
+            units=[
+                new if f != 1.0 else old for f, new, old in zip(factors, units or (), ordered.units or (), strict=False)
+            ],
             input_units=[
-                new if f != 1.0 else old for f, new, old in zip(scales, input_units or (), ordered.input_units or ())
+                new if f != 1.0 else old
+                for f, new, old in zip(scales, input_units or (), ordered.input_units or (), strict=False)
             ],
         )
 

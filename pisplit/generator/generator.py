@@ -16,7 +16,7 @@ from pisplit.checks import finite_number, non_negative, one_of
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.regression import absolute_weight, check_penalty, penalised, unit_weight
-from pisplit.regression.moments import Moments, accumulate, block_rows
+from pisplit.regression.moments import Moments, accumulate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
