@@ -35,7 +35,7 @@ RATE_WEIGHTS = (0.02, 0.2)
 CV_TOLERANCE = 0.3
 #: Penalties of the LASSO, in parts of the one that leaves the physical map alone; smaller ones leave no entry at it.
 LASSO_ALPHAS = tuple(np.logspace(-6, 0, 7).tolist())
-#: Sparse models near the best roll-out can limit-cycle at a set-point; the sparsest within 50 % did not on seeds 0 to 3.
+#: Sparse models near the best roll-out can limit-cycle at a set-point; the sparsest within 50 % did not (seeds 0 to 3).
 LASSO_TOLERANCE = 0.5
 
 

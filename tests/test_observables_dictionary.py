@@ -108,7 +108,7 @@ def test_a_model_fitted_with_a_loaded_dictionary_is_the_same_model(tmp_path: Pat
     assert named.named_after(episodes()) is named  # data without names are matched by position
     with pytest.raises(ValueError, match="no states named a, b of the dictionary"):
         named.named_after(episodes(state_names=("p", "q")))
-    with pytest.raises(ValueError, match="give Episodes.arranged"):
+    with pytest.raises(ValueError, match=r"give Episodes\.arranged"):
         named.named_after(episodes(state_names=("b", "a")))
 
 

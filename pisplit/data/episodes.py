@@ -54,8 +54,8 @@ class Episodes:
 
     ``quantities`` (n,) names the physical quantity of each state ("p", "R", "q", ...): states of one quantity share one
     scale in regressions (default: each state is its own). ``units`` (n,) of the states and ``input_units`` (m,) are
-    texts. ``outputs`` names groups of states, ``extra`` holds per-episode arrays that are saved along (for instance the full simulator state), ``provenance`` is
-    JSON-able (seed, scene, version).
+    texts. ``outputs`` names groups of states, ``extra`` holds per-episode arrays that are saved along (for instance the
+    full simulator state), ``provenance`` is JSON-able (seed, scene, version).
 
     Raises ValueError for empty lists, episodes of one row, shapes that do not fit and entries that are not finite.
     """
