@@ -7,9 +7,10 @@ import casadi as ca
 from pisplit.models import rod
 from pisplit.models.control_system import ControlSystem
 from pisplit.models.rod.analysis.coordinates import StrainCoordinates
+from pisplit.models.rod.terms.pull import TendonTerm
 
 
-def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem:
+def rod_system(scene: rod.Scene, actuation: type = TendonTerm) -> ControlSystem:
     """x = [xi, xi_t] (2n,): free strains at the nodes and their rates; u (m,): the inputs of the scene.
 
     f = (xi_t, acceleration without the terms of type ``actuation``) and h = (0, what they add to it); both solve the
@@ -42,6 +43,6 @@ def rod_system(scene: rod.Scene, actuation: type = rod.Tendons) -> ControlSystem
 def _units(term: object, source: rod.Input) -> tuple[str, ...]:
     """Units of the inputs of a term; what is no tendon does not say."""
     unit = ""
-    if isinstance(term, rod.Tendons):
-        unit = "m" if isinstance(term.drive, rod.Displacement) else "N"
+    if isinstance(term, TendonTerm) and source.name == term.name:
+        unit = "N" if isinstance(term, rod.Tendons) and isinstance(term.drive, rod.Tension) else "m"
     return (unit,) * source.size

@@ -1,5 +1,6 @@
 """Tendons identified from equilibria or pairs: the truth is found from a wrong drawing."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -235,6 +236,60 @@ def test_shapes_at_rest_and_in_motion_give_the_whole_arm(arm: TendonArm, wrong: 
     assert found.residual < 0.1
     np.testing.assert_allclose(found.parameters.offset, nominal_parameters(arm).offset, atol=2e-4)
     assert found.parameters.damping == pytest.approx(1.0, rel=0.03)
+
+
+def test_a_calibrated_arm_can_be_calibrated_again_by_every_way(arm: TendonArm, wrong: TendonParameters) -> None:
+    """From its own parameters, which are the answer already; damping from pairs and from recordings."""
+    u, strains = equilibria(arm, 12, 0)
+    n = arm.scene.n_strains
+    rest = arm.scene.fields(np.hstack([strains, np.zeros_like(strains), u]), 6).reshape(12, -1)
+    first = calibrate_from_equilibria(arm, u, strains, start=wrong)
+    assert nominal_parameters(first.arm).vector(0.015) == pytest.approx(first.parameters.vector(0.015), abs=1e-12)
+    again = calibrate_from_equilibria(first.arm, u, strains)
+    assert again.residual <= 1.01 * first.residual
+    np.testing.assert_allclose(again.parameters.offset, first.parameters.offset, atol=1e-4)
+    seen = calibrate_from_shapes(first.arm, u[:4], rest[:4], free=("bending",))
+    assert seen.parameters.bending == pytest.approx(1.0, abs=1e-3)
+    motion = arm.scene.simulator(dt=0.03).run(u[1:3], arm.scene.statics().solve(u[0]).state).x
+    moves = np.stack([u[:2], u[1:3]], axis=1)
+    slow = first.with_damping(2.0)
+    assert nominal_parameters(slow.arm).damping == 2.0
+    pairs = calibrate_from_pairs(slow.arm, motion[:-1, : 2 * n], motion[1:, : 2 * n], moves, 0.03, ("damping",))
+    assert pairs.parameters.damping == pytest.approx(1.0, rel=1e-2)
+    fields, displacements = recordings(arm, 1, noise=0.0)
+    found = calibrate_from_recordings(slow.arm, fields, displacements, 0.03)
+    assert found.parameters.damping == pytest.approx(1.0, rel=2e-2)
+
+
+def test_arms_that_cannot_be_calibrated_are_refused_in_one_line(arm: TendonArm) -> None:
+    u, strains = equilibria(arm, 2, 0)
+    tensed = replace(arm, scene=arm.passive + rod.Tendons.parallel(0.01, (0, 120, 240), rod.Tension()))
+    with pytest.raises(ValueError, match="give start for others") as found:
+        calibrate_from_equilibria(tensed, u, strains)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda scene: scene.without(rod.Tendons), "0 groups of tendons"),
+        (lambda scene: scene + rod.Tendons([[0.01, 0.0]], name="others"), "2 groups of tendons"),
+        (lambda scene: scene + rod.TipWrench(rod.Input("push", 3)), "the inputs tendons, push"),
+    ],
+)
+def test_an_arm_has_one_group_of_tendons(arm: TendonArm, change: Callable[[rod.Scene], rod.Scene], text: str) -> None:
+    with pytest.raises(ValueError, match=text) as found:
+        replace(arm, scene=change(arm.scene))
+    assert "\n" not in str(found.value)
+
+
+def test_identified_tendons_cannot_be_pulled_in_whole(arm: TendonArm) -> None:
+    told = nominal_parameters(arm)
+    damping = next(t for t in arm.scene.terms if isinstance(t, rod.KelvinVoigt))
+    values = replace(told, slack=np.full(3, 2e-3)).vector(0.015)
+    scene = arm.passive + CalibratedTendons(3, 0.015, tuple(values.tolist()), damping)
+    with pytest.raises(ValueError, match=r"pulls a tendon of 0\.7124 m by 0\.713 m"):
+        scene.statics().solve([0.713, 0.0, 0.0])
 
 
 def test_recordings_that_do_not_fit_are_refused_in_one_line(arm: TendonArm) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+import warnings
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit.models.arm.static_table import EquilibriumTable, equilibrium_table
+from pisplit.models.arm.static_table import EquilibriumTable, OutsideTable, equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
 
 HALF_WIDTH = 0.012
@@ -109,9 +112,33 @@ def test_at_its_edge_it_is_still_the_statics(table: EquilibriumTable, move: tupl
     )
 
 
-def test_beyond_its_edge_it_stays_at_the_edge(table: EquilibriumTable) -> None:
-    beyond, edge = (values(table, HALF_WIDTH * np.array([m])) for m in ((1.7, 0.2), (1.0, 0.2)))
-    np.testing.assert_allclose(beyond, edge, atol=1e-8)
+def test_beyond_its_edge_it_goes_on_with_the_slope_there_and_says_so(table: EquilibriumTable) -> None:
+    """Value and slope are continuous, second differences vanish; a graph says nothing, calls with numbers do."""
+    edge, step = HALF_WIDTH * np.array([1.0, 0.2]), HALF_WIDTH * np.array([0.1, 0.0])
+    u = np.array([table.displacements(edge + k * step) for k in range(4)])
+    np.testing.assert_allclose(table.outside(u), HALF_WIDTH * np.array([0.0, 0.1, 0.2, 0.3]), atol=1e-15)
+    with pytest.warns(OutsideTable, match=r"3 of 4 inputs are up to 3\.6 mm outside .* half_width >= 0\.0156"):
+        found = table.values(u)
+    assert np.abs(np.diff(found, n=2, axis=0)).max() < 1e-6 * np.abs(found).max()
+    inner = values(table, np.array([edge - 1e-3 * step, edge]))
+    slope = (inner[1] - inner[0]) / 1e-3
+    np.testing.assert_allclose(found[1] - found[0], slope, atol=2e-3 * np.abs(slope).max())
+    with pytest.warns(OutsideTable, match="1 of 1"):
+        one = table.function(u[2])
+    np.testing.assert_allclose(np.asarray(one).ravel(), found[2], atol=1e-12)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        table.values(u[0])
+        table.function(ca.MX.sym("u", 3))
+
+
+def test_a_copy_of_a_table_still_says_so(table: EquilibriumTable) -> None:
+    u = table.displacements(HALF_WIDTH * np.array([0.0, -2.0]))
+    for twin in (pickle.loads(pickle.dumps(table)), copy.deepcopy(table)):
+        with pytest.warns(OutsideTable, match="12 mm"):
+            np.testing.assert_allclose(np.asarray(twin.function(u)), np.asarray(table.function(u)))
+    with pytest.raises(ValueError, match=r"inputs have shape \(2,\); expected \(\.\.\., 3\)"):
+        table.outside([0.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ CONTROLLERS = {
     "references": set(),
 }
 ROD = {
-    "kinematics": {"section"},
+    "kinematics": set(),
     "section": {"kinematics"},
     "terms": {"kinematics", "section"},
     "equations": {"kinematics", "section", "terms"},
@@ -43,7 +43,17 @@ ROD = {
     "analysis": {"kinematics", "terms"},
     "output": {"analysis", "equations", "terms"},
 }
+#: Arms are scenes with tendons of any kind; what identifies them stands above.
+MODELS = {
+    "rod": set(),
+    "arm": {"rod"},
+    "calibration": {"arm", "rod"},
+    "control_system": set(),
+    "rod_system": {"control_system", "rod"},
+    "systems": {"arm", "control_system", "rod_system"},
+}
 PARTS = {"pisplit": ("pisplit", PISPLIT), "controllers": ("pisplit.controllers", CONTROLLERS)}
+PARTS["models"] = ("pisplit.models", MODELS)
 PARTS["models/rod"] = ("pisplit.models.rod", ROD)
 
 

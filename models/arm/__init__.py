@@ -2,12 +2,13 @@
 
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.recording import deviations_from_equilibrium, make_episodes, make_phase_samples
-from pisplit.models.arm.static_table import EquilibriumTable, equilibrium_table
+from pisplit.models.arm.static_table import EquilibriumTable, OutsideTable, equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
 
 __all__ = [
     "ArmPhysics",
     "EquilibriumTable",
+    "OutsideTable",
     "TendonArm",
     "deviations_from_equilibrium",
     "equilibrium_table",

@@ -29,8 +29,8 @@ ATTEMPTS = 5
 #: Input laws. "zero-sum": pretension plus differential pulls, the tendons stay taut. "independent": each tendon its own
 #: displacement; slack ones leave the arm to its weight.
 LAWS = ("zero-sum", "independent")
-#: Changes when the same scene moves differently, so that data of older equations are not taken for new ones.
-EQUATIONS = 2
+#: Changes when the same arm is moved or identified differently, so that older data are not taken for new ones.
+EQUATIONS = 3
 
 
 def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
@@ -182,21 +182,51 @@ def episodes_origin(
 
 
 def phase_origin(
-    arm: TendonArm, rates: Array, stations: int = 6, seed: int = 0, law: str = "zero-sum"
+    arm: TendonArm,
+    rates: Array,
+    stations: int = 6,
+    seed: int = 0,
+    law: str = "zero-sum",
+    deviations: Array | None = None,
+    known: rod.Scene | None = None,
+    dt: float | None = None,
 ) -> dict[str, Any]:
-    """What decides the samples of ``make_phase_samples`` but deviations; part of their provenance."""
-    return {**_arm_origin(arm, "phase", stations, seed, law), "rates": _digest(rates)}
+    """All that decides the samples of ``make_phase_samples``, whose arguments these are, but their number.
+
+    It is part of their provenance. Raises ValueError for a known part with inputs or with other strains than the arm.
+    """
+    n = arm.scene.n_strains
+    if known is not None and (known.n_inputs or known.n_strains != n):
+        raise ValueError(
+            f"known has {known.n_strains} strains and {known.n_inputs} inputs; "
+            f"expected {n} and none: leave terms of the arm out with arm.scene.without(...)"
+        )
+    return {
+        **_arm_origin(arm, "phase", stations, seed, law),
+        "rates": _digest(finite_array(rates, "rates", (None, n))),
+        "deviations": None if deviations is None else _digest(finite_array(deviations, "deviations", (None, n))),
+        "known": _fingerprint(arm.passive if known is None else known, stations),
+        "flow": None if dt is None else 0.5 * positive(dt, "dt", "s"),
+    }
 
 
 def check_origin(
     path: str | os.PathLike[str], provenance: Mapping[str, Any] | None, expected: Mapping[str, Any]
 ) -> None:
-    """Raise ValueError if the data in ``path`` were made for another arm or with other settings."""
-    given = {"law": LAWS[0], "backlash": 0.0, **(provenance or {})}
+    """Raise ValueError if the data in ``path`` were made for another arm or with other settings.
+
+    Args:
+        path: of the data, for the message.
+        provenance: that of the data.
+        expected: what ``episodes_origin`` or ``phase_origin`` gives for the arm and the settings that are wanted.
+    """
+    given = provenance or {}
     for name, value in expected.items():
+        if name == "arm":  # a text for readers; "scene" tells arms apart
+            continue
         if given.get(name) != value:
             found = f"with {name} = {given.get(name)!r}, not {value!r}"
-            what = "for another arm" if name in ("arm", "scene") else found
+            what = {"scene": "for another arm", "known": "with another known part"}.get(name, found)
             raise ValueError(f"{os.fspath(path)} holds data made {what}; delete it or choose another folder")
 
 
@@ -273,25 +303,15 @@ def make_phase_samples(
         compiled: integrate the flow by machine code (:func:`make_episodes`).
     """
     count(samples, "samples")
-    identity = phase_origin(arm, rates, stations, seed, law)
-    if known is not None:
-        if known.n_inputs or known.n_strains != arm.scene.n_strains:
-            raise ValueError(
-                f"known has {known.n_strains} strains and {known.n_inputs} inputs; "
-                f"expected {arm.scene.n_strains} and none: leave terms of the arm out with arm.scene.without(...)"
-            )
-        identity["known"] = _fingerprint(known)
-    if dt is not None:
-        identity["flow"] = 0.5 * positive(dt, "dt", "s")
-        if compiled:
-            _flow_simulator(arm.passive if known is None else known, 0.5 * dt, True)
+    identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt)
+    if dt is not None and compiled:
+        _flow_simulator(arm.passive if known is None else known, 0.5 * dt, True)
     n = arm.scene.n_strains
     factor = _gaussian_factor(rates, "rates", n)
     shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
     task = PhaseTask(
         arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"], law, known, dt, compiled
     )
-    identity["deviations"] = None if deviations is None else _digest(deviations)
     identity["block"] = task.samples
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -363,9 +383,9 @@ def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:
 def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int, law: str) -> dict[str, Any]:
     return {
         "kind": kind,
-        "arm": str(arm.scene),
-        "scene": _fingerprint(arm.scene),
         "equations": EQUATIONS,
+        "arm": re.sub(r" at 0x[0-9a-f]+", "", str(arm.scene)),  # a text to read, without addresses of functions
+        "scene": _fingerprint(arm.scene, count(stations, "stations")),
         "pretension": arm.pretension,
         "amplitude": arm.amplitude,
         "law": one_of(law, "law", LAWS),
@@ -374,15 +394,13 @@ def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int, law: str) -
     }
 
 
-def _fingerprint(scene: rod.Scene) -> str:
-    # Twelve digits, since offsets come from cosines whose last digit depends on the machine; no addresses of functions.
-    parts = re.sub(r" at 0x[0-9a-f]+", "", repr((scene.rod, scene.terms)))
-    exact = re.sub(r"\d+\.\d+(e[+-]?\d+)?", lambda found: f"{float(found[0]):.12g}", parts)
-    return hashlib.sha256(f"{exact}, {scene.nodes} nodes".encode()).hexdigest()[:16]
+def _fingerprint(scene: rod.Scene, stations: int = 6) -> str:
+    return scene.fingerprint(stations)
 
 
 def _digest(samples: Array) -> str:
-    return hashlib.sha256(np.ascontiguousarray(samples).tobytes()).hexdigest()[:16]
+    found = finite_array(samples, "samples", (None, None))
+    return hashlib.sha256(f"{found.shape}".encode() + np.ascontiguousarray(found).tobytes()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=2)

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pisplit.checks import Array
+from pisplit.checks import Array, finite_number, non_negative
 from pisplit.models import rod
-from pisplit.models.calibration.parametrised import CalibratedTendons
-from pisplit.models.rod.terms.routing import sample
+from pisplit.models.rod.terms.pull import TendonTerm
 
 
 @dataclass(frozen=True)
 class TendonArm:
-    """An elastic backbone with parallel tendons that are pulled by displacements.
+    """An elastic backbone with one group of tendons that are pulled by displacements.
+
+    Raises ValueError where the scene has no tendons, several groups of them, or other inputs, or where pretension or
+    amplitude are no lengths.
 
     Attributes:
         scene: backbone, environment and tendons: the arm itself.
@@ -26,6 +28,16 @@ class TendonArm:
     scene: rod.Scene
     pretension: float
     amplitude: float
+
+    def __post_init__(self) -> None:
+        groups = sum(isinstance(t, TendonTerm) for t in self.scene.terms)
+        if groups != 1:
+            raise ValueError(f"TendonArm has {groups} groups of tendons; expected one, such as rod.Tendons")
+        if len(self.scene.inputs) != 1:
+            names = ", ".join(i.name for i in self.scene.inputs)
+            raise ValueError(f"TendonArm has the inputs {names}; expected those of its tendons alone")
+        finite_number(self.pretension, "TendonArm pretension")
+        non_negative(self.amplitude, "TendonArm amplitude", "m")
 
     @classmethod
     def paper(cls, nodes: int = 5) -> TendonArm:
@@ -74,14 +86,17 @@ class TendonArm:
     @property
     def passive(self) -> rod.Scene:
         """The arm without its tendons."""
-        return self.scene.without(rod.Tendons).without(CalibratedTendons)
+        return self.scene.without(TendonTerm)
+
+    @property
+    def tendons(self) -> TendonTerm:
+        """Its tendons, as drawn (``rod.Tendons``) or as identified (``CalibratedTendons``)."""
+        return next(t for t in self.scene.terms if isinstance(t, TendonTerm))
 
     @property
     def tendon_angles(self) -> Array:
         """Angle (m,) of each tendon about the backbone at its base in rad."""
-        tendons = next(t for t in self.scene.terms if isinstance(t, rod.Tendons | CalibratedTendons))
-        base = [sample(route, np.zeros(1), self.scene.rod.length)[0][:2, 0] for route in tendons.offsets]
-        return np.arctan2(*np.asarray(base).T[::-1])
+        return np.arctan2(*self.tendons.points(0.0, self.scene.rod.length).T[::-1])
 
     @property
     def differential_basis(self) -> Array:

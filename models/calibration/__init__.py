@@ -1,1 +1,17 @@
-"""Numbers of a real arm: from shapes at rest, from pairs, from noisy recordings of markers."""
+"""Calibration: an arm identified from measured equilibria, shapes, pairs or recordings; the result is an arm again."""
+
+from pisplit.models.calibration.fit import calibrate_from_equilibria, calibrate_from_pairs, calibrate_from_shapes
+from pisplit.models.calibration.model import Calibration, nominal_parameters
+from pisplit.models.calibration.parametrised import CalibratedTendons, TendonParameters
+from pisplit.models.calibration.recordings import calibrate_from_recordings
+
+__all__ = [
+    "CalibratedTendons",
+    "Calibration",
+    "TendonParameters",
+    "calibrate_from_equilibria",
+    "calibrate_from_pairs",
+    "calibrate_from_recordings",
+    "calibrate_from_shapes",
+    "nominal_parameters",
+]

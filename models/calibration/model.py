@@ -10,7 +10,7 @@ import numpy as np
 from pisplit.checks import Array, positive
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons, TendonParameters
-from pisplit.models.rod import KelvinVoigt, Scene, Tendons
+from pisplit.models.rod import Displacement, KelvinVoigt, Scene, Tendons
 
 #: What can be identified: parallel tendons; factors of the backbone's stiffness and damping; the routing, by how much
 #: every tendon's point at the tip differs from that at the base; a mass at the tip.
@@ -51,20 +51,30 @@ class Calibration:
     def with_damping(self, factor: float) -> Calibration:
         """The same with another factor of the backbone's damping."""
         parameters = replace(self.parameters, damping=positive(factor, "factor"))
-        term = next(t for t in self.arm.scene.terms if isinstance(t, CalibratedTendons))
+        term = self.arm.tendons
+        assert isinstance(term, CalibratedTendons)  # the result of a calibration has those
         changed = replace(term, values=tuple(parameters.vector(term.radius).tolist()))
-        scene = self.arm.scene.without(CalibratedTendons) + changed
+        scene = self.arm.passive + changed
         return replace(self, arm=replace(self.arm, scene=scene), parameters=parameters)
 
 
 def nominal_parameters(arm: TendonArm) -> TendonParameters:
-    """Parameters of the arm's own tendons: where its drawing has them, with the stiffness it says."""
-    tendons = _tendons(arm)
-    compliance = getattr(tendons.drive, "compliance", None)
-    if compliance is None or any(callable(o) for o in tendons.offsets):
+    """Parameters of the arm's own tendons: where its drawing has them, with the stiffness it says.
+
+    Those of a calibrated arm are what was identified. Raises ValueError for tendons that are not parallel or not pulled
+    by displacements.
+    """
+    tendons = arm.tendons
+    if isinstance(tendons, CalibratedTendons):
+        return tendons.parameters
+    if (
+        not isinstance(tendons, Tendons)
+        or not isinstance(tendons.drive, Displacement)
+        or any(callable(o) for o in tendons.offsets)
+    ):
         raise ValueError("calibration takes parallel tendons with a displacement drive; give start for others")
     m = len(tendons.offsets)
-    stiffness = 1.0 / (float(compliance) * arm.scene.rod.length)
+    stiffness = 1.0 / (tendons.drive.compliance * arm.scene.rod.length)
     return TendonParameters(
         offset=np.array([np.asarray(o, float) for o in tendons.offsets]),
         stiffness=np.full(m, stiffness),
@@ -85,8 +95,8 @@ class ParametrisedArm:
         self.arm, self.m = arm, first.n_tendons
         if self.m != arm.scene.n_inputs:
             raise ValueError(f"start has {self.m} tendons; the arm has {arm.scene.n_inputs} inputs")
-        self.name = _tendons(arm).name
-        self.radius = float(np.hypot(*first.offset.T).mean())
+        self.name = arm.tendons.name
+        self.radius = positive(np.hypot(*first.offset.T).mean(), "mean distance of the tendons from the axis", "m")
         self.start = first.vector(self.radius)
         m = self.m
         parts = {
@@ -140,13 +150,9 @@ class ParametrisedArm:
         return Calibration(arm, TendonParameters.of_vector(values, self.radius), residual, samples, success)
 
     def _scene(self, values: tuple[float, ...] | None) -> Scene:
-        backbone = self.arm.scene.without(Tendons)
+        backbone = self.arm.passive
         damping = [t for t in backbone.terms if isinstance(t, KelvinVoigt)]
         total = KelvinVoigt(
             *(sum(getattr(t, name) for t in damping) for name in ("bending", "torsion", "shear", "stretch"))
         )
         return backbone + CalibratedTendons(self.m, self.radius, values, total, self.name)
-
-
-def _tendons(arm: TendonArm) -> Tendons:
-    return next(t for t in arm.scene.terms if isinstance(t, Tendons))

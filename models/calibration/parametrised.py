@@ -8,12 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import Array, count
+from pisplit.checks import Array, count, positive
+from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
+from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.damping import KelvinVoigt
 from pisplit.models.rod.terms.loads import Input, Loads
 from pisplit.models.rod.terms.points import add_mass
-from pisplit.models.rod.terms.tendons import softplus
+from pisplit.models.rod.terms.pull import Pull, TendonTerm
+from pisplit.smooth import softplus
 
 #: Name of the input that holds the parameters while they are being identified.
 PARAMETERS = "parameters"
@@ -80,7 +83,7 @@ REFERENCE_STIFFNESS, REFERENCE_SLACK, REFERENCE_MASS = 1e4, 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
-class CalibratedTendons:
+class CalibratedTendons(TendonTerm):
     """Straight tendons pulled by displacements u, corrections of the backbone, and a mass at the tip.
 
     Tendon i runs from r_i(0) to r_i(L) in the section plane and has the path a_i = v + w x r_i + r_i', the unstretched
@@ -104,6 +107,7 @@ class CalibratedTendons:
 
     def __post_init__(self) -> None:
         count(self.n_tendons, "CalibratedTendons n_tendons")
+        positive(self.radius, "CalibratedTendons radius", "m")
         if self.values is not None and len(self.values) != 6 * self.n_tendons + 4:
             raise ValueError(f"{len(self.values)} parameters of {self.n_tendons} tendons; expected 6 each and 4 more")
 
@@ -114,11 +118,22 @@ class CalibratedTendons:
         return (moves,) if self.values is not None else (moves, Input(PARAMETERS, 6 * self.n_tendons + 4))
 
     @property
-    def offsets(self) -> tuple[tuple[float, float], ...]:
-        """Identified offsets (m, 2) at the base in m."""
+    def parameters(self) -> TendonParameters:
+        """What was identified."""
         if self.values is None:
-            raise ValueError("the parameters of these tendons are an input; their offsets are not known")
-        return tuple(map(tuple, TendonParameters.of_vector(np.array(self.values), self.radius).offset.tolist()))
+            raise ValueError("the parameters of these tendons are an input; they have no values of their own")
+        return TendonParameters.of_vector(np.array(self.values), self.radius)
+
+    def points(self, s: float, length: float) -> Array:
+        """Points (m, 2) in m of the tendons in the section at arclength ``s`` in m of a rod of ``length`` in m."""
+        told = self.parameters
+        points: Array = told.offset + s / length * told.shift
+        return points
+
+    def pull(self, rod: Rod, rule: Rule) -> Pull:
+        """Displacements below what the slack leaves of the length; while parameters are an input, below the length."""
+        slack = np.zeros(self.n_tendons) if self.values is None else self.parameters.slack
+        return Pull(rod.length - slack)
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the active stress."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from pisplit.checks import finite_array, finite_number, non_negative
 from pisplit.observables.columns import Base, Columns, Names, OneSided, Symbol, linear_form
+from pisplit.smooth import softplus
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Slack(Base):
 
 
 def hinge(s: Symbol, width: float) -> Symbol:
-    """max(0, s), or width log(1 + exp(s / width)) without overflow."""
+    """max(0, s), rounded over ``width`` where that is not zero."""
     if width == 0.0:
         return ca.fmax(s, 0)
-    return width * ca.log1p(ca.exp(-ca.fabs(s) / width)) + ca.fmax(s, 0)
+    return softplus(s, width)

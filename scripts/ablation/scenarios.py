@@ -97,7 +97,11 @@ class ScenarioSource:
         deviations, rates = deviations_from_equilibrium(scenario.arm, training)
         if path.exists():
             found = PhaseSamples.load(path)
-            check_origin(path, found.provenance, phase_origin(scenario.arm, rates, seed=self.seed, law=scenario.law))
+            known = scenario.known.passive
+            origin = phase_origin(
+                scenario.arm, rates, seed=self.seed, law=scenario.law, deviations=deviations, known=known
+            )
+            check_origin(path, found.provenance, origin)
             return found
         return make_phase_samples(
             scenario.arm,

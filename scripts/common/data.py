@@ -88,7 +88,8 @@ class Source:
         path = self.folder / f"{name}-{count}-seed{self.seed}.h5"
         if path.exists():
             found = PhaseSamples.load(path)
-            check_origin(path, found.provenance, phase_origin(self.arm, rates, seed=self.seed, law=self.law))
+            origin = phase_origin(self.arm, rates, seed=self.seed, law=self.law, known=known, dt=DT)
+            check_origin(path, found.provenance, origin)
             return found
         compiled = known is not None or count >= 10 * WORTH_COMPILING  # known parts without damping take many steps
         return make_phase_samples(

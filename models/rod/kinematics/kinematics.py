@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from pisplit.models.rod.kinematics.gauss import Array, Rule
-from pisplit.models.rod.section.body import Profile, Rod
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.section.body import Profile, Rod
 
 
 @dataclass(frozen=True, eq=False)

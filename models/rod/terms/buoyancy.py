@@ -7,7 +7,11 @@ from typing import Any
 
 from pisplit.checks import non_negative
 from pisplit.models.rod.kinematics.kinematics import Motion
+from pisplit.models.rod.terms.gravity import Gravity
 from pisplit.models.rod.terms.loads import Input, Loads, spread
+
+#: Terms of other modules may bring gravity of their own.
+_OURS = "pisplit."
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,14 @@ class Buoyancy:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add -rho_medium A g at every node."""
+        if self.density == 0.0:
+            return
         loads.force -= spread(loads.gravity, self.density * motion.profile.area)
+
+    def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
+        """Why it acts on nothing, if so: nothing among the ``terms`` has brought gravity."""
+        gravity = [t for t in terms if isinstance(t, Gravity) or not type(t).__module__.startswith(_OURS)]
+        return None if gravity or self.density == 0.0 else "has no effect without gravity; add a Gravity"
 
     def describe(self, rod: Any) -> str:
         """Density of the medium."""

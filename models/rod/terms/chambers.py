@@ -13,8 +13,16 @@ from pisplit.checks import positive
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.idle import idle_on_the_axis
 from pisplit.models.rod.terms.loads import Input, Loads
-from pisplit.models.rod.terms.routing import Route, checked_routes, nodes_before, on_circle, sample
+from pisplit.models.rod.terms.routing import (
+    Route,
+    check_routes,
+    checked_routes,
+    nodes_before,
+    on_circle,
+    sample,
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,10 @@ class Chambers:
         name: str = "pressures",
         end: float | None = None,
     ) -> Chambers:
-        """Chambers on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
+        """Chambers of area ``area`` in m^2 on a circle of radius ``offset`` in m at ``angles_deg`` in degrees.
+
+        ``name`` and ``end`` as in the class.
+        """
         return cls(area, [tuple(p) for p in on_circle(offset, angles_deg, "Chambers")], name, end)
 
     @property
@@ -61,7 +72,8 @@ class Chambers:
 
     def check(self, rod: Rod, rule: Rule) -> None:
         """Raise ValueError for chambers that end within an element or would bend a planar rod out of its plane."""
-        nodes_before(self.end, rule, "Chambers")
+        n = nodes_before(self.end, rule, "Chambers")
+        check_routes(self.offsets, rule, n, rod.length, "Chambers")
         if rod.strain_set.planar and any(np.any(sample(o, rule.nodes, rod.length)[0][1]) for o in self.offsets):
             raise ValueError("a planar rod takes chambers in its plane only; offsets must have y = 0")
 
@@ -74,6 +86,10 @@ class Chambers:
             push = self.area * pressure[i] * axis
             loads.stress_v -= push
             loads.stress_w -= columnwise_cross(r, push)
+
+    def idle(self, rod: Rod, terms: tuple[Any, ...]) -> str | None:
+        """Why some act on nothing, if so: chambers about the axis of a rod that does not stretch."""
+        return idle_on_the_axis(self.offsets, rod)
 
     def describe(self, rod: Any) -> str:
         """Number and area."""

@@ -44,6 +44,15 @@ class KelvinVoigt:
         loads.stress_w += ca.mtimes(_diagonal(self, 0), motion.w_t)
         loads.stress_v += ca.mtimes(_diagonal(self, 3), motion.v_t)
 
+    def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
+        """Which coefficients act on nothing, if any: those of strains that are not free in the ``rod``."""
+        parts = {"bending": (0, 1), "torsion": (2,), "shear": (3, 4), "stretch": (5,)}
+        free = set(rod.strain_set.free)
+        names = [name for name, strains in parts.items() if getattr(self, name) > 0.0 and not free & set(strains)]
+        if not names:
+            return None
+        return f"{' and '.join(names)}: no effect on a rod whose strains ({rod.strain_set.name}) do not include it"
+
     def describe(self, rod: Any) -> str:
         """Coefficients."""
         return f"Kelvin-Voigt damping, bending {self.bending:g}, torsion {self.torsion:g} N m^2 s"
@@ -87,4 +96,4 @@ class Retardation:
 
 
 def _diagonal(damping: KelvinVoigt, first: int) -> ca.SX:
-    return ca.diag(ca.SX(ca.DM([damping.coefficient(first + k) for k in range(3)])))
+    return ca.sparsify(ca.diag(ca.SX(ca.DM([damping.coefficient(first + k) for k in range(3)]))))

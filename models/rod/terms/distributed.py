@@ -13,6 +13,7 @@ from pisplit.checks import finite_array
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.idle import idle_wrench
 from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector
 
 #: Three numbers, an ``Input`` of size 3, or a function of arclength s in m that returns three numbers.
@@ -63,14 +64,19 @@ class DistributedWrench:
         nodes = motion.rule.nodes.tolist()
         if callable(value):
             return ca.sparsify(ca.SX(ca.DM(_sampled(value, nodes, "DistributedWrench"))))
-        if isinstance(value, Input):
-            return ca.repmat(loads.read(value), 1, len(nodes))
-        return ca.repmat(ca.sparsify(loads.read(value)), 1, len(nodes))
+        return ca.repmat(loads.read(value), 1, len(nodes))
+
+    def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
+        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``."""
+        if callable(self.force) or callable(self.moment):
+            return None
+        return idle_wrench(self.force, self.moment, rod, terms)
 
     def describe(self, rod: Any) -> str:
         """Force and moment per length."""
         kind = "follower" if self.follower else "dead"
-        return f"{kind} distributed wrench, force {self.force} N/m, moment {self.moment} N"
+        force, moment = ("f(s)" if callable(v) else v for v in (self.force, self.moment))
+        return f"{kind} distributed wrench, force {force} N/m, moment {moment} N"
 
 
 def _sampled(value: Callable[[float], Sequence[float]], nodes: list[float], name: str) -> np.ndarray:

@@ -31,6 +31,8 @@ class LinearDrag:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add -c p_t at every node."""
+        if self.coefficient == 0.0:
+            return
         loads.force -= self.coefficient * motion.velocity
 
     def describe(self, rod: Any) -> str:
@@ -55,7 +57,7 @@ class QuadraticDrag:
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add -c |p_t| p_t at every node."""
         velocity = motion.velocity
-        if velocity.nnz() == 0 or velocity.is_zero():
+        if self.coefficient == 0.0 or velocity.nnz() == 0 or velocity.is_zero():
             return
         speed = ca.sqrt(ca.sum1(velocity * velocity) + SPEED_FLOOR**2)
         loads.force -= self.coefficient * ca.repmat(speed, 3, 1) * velocity
@@ -95,7 +97,8 @@ class AnisotropicDrag:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the drag at every node."""
-        if motion.velocity.nnz() == 0 or motion.velocity.is_zero():
+        unused = not any(getattr(self, item.name) for item in fields(self))
+        if unused or motion.velocity.nnz() == 0 or motion.velocity.is_zero():
             return
         q = motion.to_body(motion.velocity)
         across, along = q[:2, :], q[2, :]
@@ -113,7 +116,7 @@ class AnisotropicDrag:
 
 def _drag(linear: float, quadratic: float, q: ca.SX) -> ca.SX:
     """(c + d |q|) q column by column; what is zero leaves nothing."""
-    force = linear * q
+    force = linear * q if linear > 0.0 else ca.SX(*q.shape)
     if quadratic > 0.0:
         speed = ca.sqrt(ca.sum1(q * q) + SPEED_FLOOR**2)
         force += quadratic * ca.repmat(speed, q.shape[0], 1) * q

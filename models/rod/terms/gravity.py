@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pisplit.models.rod.kinematics.kinematics import Motion
+from pisplit.models.rod.terms.idle import idle_force
 from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector, spread
 
 
@@ -28,6 +29,10 @@ class Gravity:
         gravity = loads.read(self.acceleration)
         loads.gravity += gravity
         loads.force += spread(gravity, motion.profile.mass)
+
+    def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
+        """Why it acts on nothing, if so: it is across the plane of a planar ``rod``."""
+        return idle_force(self.acceleration, rod, terms)
 
     def describe(self, rod: Any) -> str:
         """Acceleration in m/s^2."""

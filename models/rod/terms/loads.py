@@ -92,8 +92,8 @@ class Loads:
         self.point_inertia += force @ ca.DM(shares_below(motion, s))
 
     def read(self, value: Vector) -> ca.SX:
-        """Symbol of an input, or the numbers themselves."""
-        return self.inputs[value.name] if isinstance(value, Input) else ca.SX(ca.DM(list(value)))
+        """Symbol of an input, or the numbers themselves; zeros among them are not in the graph."""
+        return self.inputs[value.name] if isinstance(value, Input) else ca.sparsify(ca.SX(ca.DM(list(value))))
 
 
 @runtime_checkable
@@ -101,7 +101,7 @@ class Term(Protocol):
     """Anything that acts on a rod. ``inputs`` lists what it reads; ``apply`` adds its loads.
 
     A term that does not fit every rod may also have ``check(rod, rule)``, called when the scene is made; it raises
-    ValueError.
+    ValueError. One that acts on nothing in some scenes may have ``idle(rod, terms)``, which says why, or None.
     """
 
     @property
@@ -141,6 +141,6 @@ def spread(vector: ca.SX, values: Array) -> ca.SX:
 
 def on_the_rod(s: float, length: float, name: str) -> float:
     """``s``, which must be an arclength above 0 and at most the length of the rod."""
-    if not 0.0 < s <= length:
+    if not 0.0 < s <= length * (1.0 + 1e-12):
         raise ValueError(f"{name} at s = {s:g} m; expected an arclength above 0 and at most L = {length:g} m")
     return s

@@ -9,10 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import finite_array, finite_number, non_negative, positive
+from pisplit.checks import finite_array, non_negative, positive
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.idle import idle_wrench
 from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector, on_the_rod
 
 
@@ -52,6 +53,10 @@ class PointWrench:
             force, moment = frame @ force, frame @ moment
         loads.add_at(motion, self.s, ca.sparsify(force), ca.sparsify(moment))
 
+    def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
+        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``."""
+        return idle_wrench(self.force, self.moment, rod, terms)
+
     def describe(self, rod: Any) -> str:
         """Place, force and moment."""
         kind = "follower" if self.follower else "dead"
@@ -76,7 +81,7 @@ class Spring:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", checked_vector(self.point, "Spring point"))
-        positive(self.stiffness, "Spring stiffness", "N/m")
+        non_negative(self.stiffness, "Spring stiffness", "N/m")
         non_negative(self.rest_length, "Spring rest_length", "m")
 
     @property
@@ -91,6 +96,8 @@ class Spring:
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the force at ``s``."""
+        if self.stiffness == 0.0:
+            return
         s = motion.rod.length if self.s is None else self.s
         here = motion.tip if motion.is_tip(s) else motion.position_at([s])
         way = loads.read(self.point) - here
@@ -127,7 +134,7 @@ class PointMass:
 
     def __post_init__(self) -> None:
         positive(self.s, "PointMass s", "m")
-        positive(self.mass, "PointMass mass", "kg")
+        non_negative(self.mass, "PointMass mass", "kg")
         inertia = finite_array(np.asarray(self.inertia), "PointMass inertia", (3,)).tolist()
         object.__setattr__(self, "inertia", tuple(non_negative(j, "PointMass inertia", "kg m^2") for j in inertia))
         offset = finite_array(np.asarray(self.offset), "PointMass offset", (3,)).tolist()
@@ -135,9 +142,17 @@ class PointMass:
 
     @classmethod
     def disc(cls, s: float, mass: float, radius: float, thickness: float = 0.0) -> PointMass:
-        """A round disc across the rod, centred on it: radius and thickness in m."""
-        positive(radius, "disc radius", "m")
-        non_negative(finite_number(thickness, "disc thickness"), "disc thickness", "m")
+        """A round disc across the rod at arclength ``s`` in m, centred on it.
+
+        Args:
+            s: arclength in m.
+            mass: in kg.
+            radius: in m.
+            thickness: in m, along the rod.
+        """
+        non_negative(mass, "disc mass", "kg")
+        non_negative(radius, "disc radius", "m")
+        non_negative(thickness, "disc thickness", "m")
         across = mass * (radius**2 / 4.0 + thickness**2 / 12.0)
         return cls(s, mass, (across, across, mass * radius**2 / 2.0))
 
@@ -154,7 +169,7 @@ class PointMass:
         """Add weight m g and inertia -m a at the centre of mass, and the rate of its angular momentum."""
         add_mass(motion, loads, self.s, self.mass, self.offset)
         if loads.moving and any(self.inertia):
-            frame, j = motion.frame_at(self.s), ca.SX(ca.DM(list(self.inertia)))
+            frame, j = motion.frame_at(self.s), ca.sparsify(ca.SX(ca.DM(list(self.inertia))))
             omega, alpha = frame.T @ motion.spin_at([self.s]), frame.T @ motion.spin_rate_at([self.s])
             loads.add_at(motion, self.s, ca.SX(3, 1), -frame @ (j * alpha + ca.cross(omega, j * omega)))
 
@@ -170,8 +185,10 @@ def add_mass(
 ) -> None:
     """Weight and inertia of a mass in kg, a number or an expression, at arclength ``s`` and ``offset`` in m.
 
-    ``offset`` is in the axes of the cross-section.
+    ``offset`` is in the axes of the cross-section. Without mass nothing is added.
     """
+    if not isinstance(mass, ca.SX) and mass == 0.0:
+        return
     centred = not any(offset)
     arm = ca.SX(3, 1) if centred else motion.frame_at(s) @ ca.SX(ca.DM(list(offset)))
     if loads.gravity.nnz() > 0:

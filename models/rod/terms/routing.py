@@ -84,6 +84,27 @@ def checked_routes(offsets: Sequence[Route], name: str) -> tuple[Route, ...]:
     return tuple(o if callable(o) else checked_routes([o], name)[0] for o in offsets)
 
 
+def check_routes(routes: Sequence[Route], rule: Rule, n: int, length: float, name: str) -> None:
+    """Raise ValueError for routes that leave the rod: a ``Line`` that ends before them, an offset in another unit.
+
+    Args:
+        routes: one a tendon or chamber.
+        rule: nodes of the rod, of which it passes the first ``n``.
+        n: number of these.
+        length: of the rod in m.
+        name: of the term.
+    """
+    end = next(border for border in (*rule.borders[1:], length) if border >= rule.nodes[n - 1])
+    for route in routes:
+        if isinstance(route, Line) and route.length < end * (1.0 - 1e-9):
+            raise ValueError(
+                f"{name} run to s = {end:g} m on a Line of length {route.length:g} m; give the Line the length they run"
+            )
+        offset = float(np.hypot(*sample(route, rule.nodes[:n], length)[0][:2]).max())
+        if offset > length:
+            raise ValueError(f"{name} offset {offset:g} m on a rod of {length:g} m; offsets are in m")
+
+
 def on_circle(offset: float, angles_deg: Sequence[float], name: str) -> list[list[float]]:
     """Points (n, 2) on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
     positive(offset, f"{name} offset", "m")

@@ -14,8 +14,20 @@ from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.section.texts import OPTION, brief
+from pisplit.models.rod.terms.idle import idle_on_the_axis
 from pisplit.models.rod.terms.loads import Input, Loads
-from pisplit.models.rod.terms.routing import Helix, Line, Route, checked_routes, nodes_before, on_circle, sample
+from pisplit.models.rod.terms.pull import Pull, TendonTerm
+from pisplit.models.rod.terms.routing import (
+    Helix,
+    Line,
+    Route,
+    check_routes,
+    checked_routes,
+    nodes_before,
+    on_circle,
+    sample,
+)
+from pisplit.smooth import softplus
 
 #: Strain of a displaced tendon over which slack sets in when no tension is given: 0.1 N on the paper's arm.
 SLACK_STRAIN = 1e-5
@@ -63,7 +75,7 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Tension:
-    """Each tendon is driven by its tension u_i in N."""
+    """Each tendon is driven by its tension u_i in N, which is not negative: tendons do not push."""
 
     def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
         """The input itself."""
@@ -79,7 +91,7 @@ class Tension:
 
 
 @dataclass(frozen=True, repr=False)
-class Tendons:
+class Tendons(TendonTerm):
     """Tendons that run along the rod at any offsets r_i(s) in the section plane.
 
     With ``a_i = v + w x r_i + r_i'`` and ``t_i = a_i / |a_i|``, tendon i adds ``tau_i t_i`` to the internal force and
@@ -210,10 +222,23 @@ class Tendons:
     def check(self, rod: Rod, rule: Rule) -> None:
         """Raise ValueError where the tendons do not fit a rod."""
         n = self._n_loaded(rule)
+        check_routes(self.offsets, rule, n, rod.length, "Tendons")
         for route in self.offsets:
             r, slope = sample(route, rule.nodes[:n], rod.length)
             if rod.strain_set.planar and max(np.abs(r[1]).max(), np.abs(slope[1]).max() * rod.length) > IN_PLANE:
                 raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
+
+    def idle(self, rod: Rod, terms: tuple[Any, ...]) -> str | None:
+        """Why some act on nothing, if so: tendons along the axis of a rod that does not stretch."""
+        return idle_on_the_axis(self.offsets, rod)
+
+    def points(self, s: float, length: float) -> Array:
+        """Points (m, 2) in m of the tendons in the section at arclength ``s`` in m of a rod of ``length`` in m."""
+        return np.array([sample(route, np.array([s]), length)[0][:2, 0] for route in self.offsets])
+
+    def pull(self, rod: Rod, rule: Rule) -> Pull:
+        """Displacements below the unpulled lengths, or tensions that are not negative."""
+        return Pull(self.unpulled_lengths(rod, rule) if isinstance(self.drive, Displacement) else None)
 
     def _n_loaded(self, rule: Rule) -> int:
         return nodes_before(self.end, rule, "Tendons")
@@ -221,8 +246,7 @@ class Tendons:
     def describe(self, rod: Any) -> str:
         """Number, offset and drive."""
         parallel = not any(callable(route) for route in self.offsets)
-        points = np.array([sample(route, np.zeros(1), rod.length)[0][:2, 0] for route in self.offsets])
-        radius = float(np.hypot(*points.T).mean())
+        radius = float(np.hypot(*self.points(0.0, rod.length).T).mean())
         end = "" if self.end is None else f", to s = {self.end:g} m"
         friction = f", friction {self.friction:g}" if self.friction else ""
         kind = "parallel" if parallel else "routed"
@@ -241,8 +265,3 @@ def turned_angle(a: ca.SX, norm: ca.SX, motion: Motion, n: int) -> ca.SX:
     floor = TURN_FLOOR / rule.length
     speed = ca.sqrt(ca.sum1(turn * turn) + floor**2) - floor
     return speed @ ca.DM(rule.integration[:n, :n].T)
-
-
-def softplus(x: ca.SX, width: float) -> ca.SX:
-    """``max(0, x)`` with its corner rounded over ``width``; never overflows."""
-    return width * ca.log1p(ca.exp(-ca.fabs(x) / width)) + ca.fmax(x, 0.0)

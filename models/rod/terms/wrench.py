@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pisplit.models.rod.kinematics.kinematics import Motion
+from pisplit.models.rod.terms.idle import idle_wrench
 from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector
 
 
@@ -37,6 +38,10 @@ class TipWrench:
             force, moment = motion.tip_frame @ force, motion.tip_frame @ moment
         loads.tip_force += force
         loads.tip_moment += moment
+
+    def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
+        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``."""
+        return idle_wrench(self.force, self.moment, rod, terms)
 
     def describe(self, rod: Any) -> str:
         """Force and moment."""

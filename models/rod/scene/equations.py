@@ -1,0 +1,172 @@
+"""The equations of a scene in CasADi, its typical sizes, and the states and inputs that they take."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, finite_array
+from pisplit.models.rod.equations.balance import Balance
+from pisplit.models.rod.scene.contents import Contents, NoEffect
+from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
+from pisplit.models.rod.terms.pull import Pull, TendonTerm
+
+
+class Equations(Contents):
+    """Balance of the contents at rest and in motion, as functions of xi, xi_t, xi_tt and u.
+
+    Args:
+        rod: the rod.
+        terms: what acts on it.
+        nodes: number of Gauss nodes of every element, or a number for each.
+    """
+
+    # Scales ----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def nominal_strains(self) -> Array:
+        """Typical size of each coordinate: 1/L for bending and torsion, 1 % for shear and stretch."""
+        sizes = [1.0 / self.rod.length if c < 3 else 0.01 for c in self.rod.strain_set.free]
+        return _fixed(np.tile(sizes, self.nodes))
+
+    @cached_property
+    def rest_coordinates(self) -> Array:
+        """Free strains of the unloaded rod (n_strains,)."""
+        rest = self.rod.profile(self.rule.nodes).rest
+        return _fixed(rest[list(self.rod.strain_set.free)].T.ravel())
+
+    @cached_property
+    def nominal_residual(self) -> Array:
+        """Typical size of each residual row: EI/L for moments, EI/L^2 for forces."""
+        moment = min(self.rod.stiffness[:2]) / self.rod.length
+        sizes = [moment if c < 3 else moment / self.rod.length for c in self.rod.strain_set.free]
+        return _fixed(np.tile(sizes, self.nodes))
+
+    @property
+    def damped(self) -> bool:
+        """Whether the material damps every free strain."""
+        terms = [t for t in self.terms if isinstance(t, KelvinVoigt | Retardation)]
+        return all(any(t.coefficient(c) > 0.0 for t in terms) for c in self.rod.strain_set.free)
+
+    # Balance ---------------------------------------------------------------------------------------------------------
+
+    def balance(
+        self, strains: ca.SX, rates: ca.SX, accelerations: ca.SX | None, u: ca.SX, dead_force: ca.SX | None = None
+    ) -> Balance:
+        """Symbolic balance at given coordinates.
+
+        Args:
+            strains: free strains xi (n_strains,), node by node.
+            rates: xi_t (n_strains,) per s; exact zeros (an empty sparsity) for a rod at rest.
+            accelerations: xi_tt (n_strains,) per s^2; None leaves inertia out.
+            u: stacked inputs (n_inputs,).
+            dead_force: internal force (3, K) in N at the nodes that does not depend on the motion; None: none.
+        """
+        parts: dict[str, ca.SX] = {}
+        start = 0
+        for item in self.inputs:
+            parts[item.name] = u[start : start + item.size]
+            start += item.size
+        carried = any(isinstance(t, Base) and t.moves for t in self.terms)
+        at_rest = accelerations is None and not rates.nnz() and dead_force is None
+        moving = accelerations is not None or (at_rest and carried)  # at rest on a moving base: inertia of that motion
+        second = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
+        motion = (strains, rates, second)
+        return self.balance_type(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
+
+    @cached_property
+    def static_balance(self) -> tuple[ca.SX, ca.SX, Balance]:
+        """Symbols (xi, u) and the balance at rest."""
+        xi, u = ca.SX.sym("xi", self.n_strains), ca.SX.sym("u", self.n_inputs)
+        return xi, u, self.balance(xi, ca.SX(self.n_strains, 1), None, u)
+
+    @cached_property
+    def dynamic_balance(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, Balance]:
+        """Symbols (xi, xi_t, xi_tt, u) and the balance in motion. Warns of inputs that nothing in it reads."""
+        xi, xi_t, xi_tt = (ca.SX.sym(name, self.n_strains) for name in ("xi", "xi_t", "xi_tt"))
+        u = ca.SX.sym("u", self.n_inputs)
+        balance = self.balance(xi, xi_t, xi_tt, u)
+        self._say_unread(u, balance)
+        return xi, xi_t, xi_tt, u, balance
+
+    def _say_unread(self, u: ca.SX, balance: Balance) -> None:
+        moved = {i.name for t in self.terms if isinstance(t, Base) for i in t.inputs}  # a pose is in the fields alone
+        start = 0
+        for item in self.inputs:
+            part = u[start : start + item.size]
+            start += item.size
+            if item.name not in moved and not ca.depends_on(balance.residual, part):
+                warnings.warn(f"input {item.name!r} acts on nothing in this scene", NoEffect, stacklevel=3)
+
+    @cached_property
+    def acceleration(self) -> ca.Function:
+        """``(xi, xi_t, u) -> xi_tt``: the balance is linear in the accelerations; solved exactly."""
+        xi, xi_t, xi_tt, u, balance = self.dynamic_balance
+        scale = 1.0 / ca.DM(self.nominal_residual)
+        mass = ca.jacobian(balance.residual, xi_tt)
+        rest = ca.substitute(balance.residual, xi_tt, ca.SX.zeros(self.n_strains))
+        parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
+        x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", self.n_inputs)
+        m, r = parts(x, v, w)
+        return ca.Function(
+            "acceleration", [x, v, w], [-ca.solve(m, r, "qr", {"eps": 1e-30})], ["xi", "xi_t", "u"], ["xi_tt"]
+        )
+
+    def native(self, function: ca.Function) -> ca.Function:
+        """``function`` as this scene evaluates it: by the virtual machine of CasADi; compiled scenes differ."""
+        return function
+
+    # States and inputs -----------------------------------------------------------------------------------------------
+
+    def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike) -> Array:
+        """Stack a state [xi, xi_t, u] from its parts.
+
+        Args:
+            strains: xi (n_strains,).
+            rates: xi_t (n_strains,) per s.
+            u: inputs (n_inputs,).
+        """
+        n = self.n_strains
+        return np.concatenate(
+            [
+                finite_array(strains, "strains", (n,)),
+                finite_array(rates, "rates", (n,)),
+                self.checked_inputs(u, "u", (self.n_inputs,)),
+            ]
+        )
+
+    def checked_inputs(self, u: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
+        """Inputs as an array.
+
+        Args:
+            u: inputs (n_inputs,) or rows of them.
+            name: what messages call them.
+            shape: expected shape, None for any length.
+
+        Raises ValueError for other shapes, entries that are not finite, a displacement that would shorten a tendon to
+        nothing, and a tension that would push.
+        """
+        array = finite_array(u, name, shape)
+        start = 0
+        for item in self.inputs:
+            pull = self._pulls.get(item.name)
+            if pull is not None:
+                pull.check(array[..., start : start + item.size].reshape(-1, item.size), name)
+            start += item.size
+        return array
+
+    @cached_property
+    def _pulls(self) -> dict[str, Pull]:
+        """What the inputs of tendons may be, by input."""
+        return {t.name: t.pull(self.rod, self.rule) for t in self.terms if isinstance(t, TendonTerm)}
+
+
+def _fixed(array: Array) -> Array:
+    """The array itself, which nobody can write to: it is kept and handed out again."""
+    array.flags.writeable = False
+    return array
