@@ -18,10 +18,15 @@ def rod_system(scene: rod.Scene, actuation: type = TendonTerm) -> ControlSystem:
     ``method="idas"``: damped rods are stiff (rates up to 1e8 1/s). Inputs jump at the start of a step and stay, as with
     ``scene.simulator(dt, inputs="step")``.
 
+    Args:
+        scene: the rod with its terms.
+        actuation: type of the terms that are unknown; tendons of every kind when not given.
+
     Raises ValueError if the scene has no such term.
     """
     if not any(isinstance(term, actuation) for term in scene.terms):
-        raise ValueError(f"the scene has no {actuation.__name__} that could be the unknown part; give it one")
+        kind = "Tendons" if actuation is TendonTerm else actuation.__name__
+        raise ValueError(f"the scene has no {kind} that could be the unknown part; give it one")
     passive, n = scene.without(actuation), scene.n_strains
     x, u = ca.MX.sym("x", 2 * n), ca.MX.sym("u", scene.n_inputs)
     remaining = [scene.input_names.index(name) for name in passive.input_names]
