@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.linalg
@@ -83,31 +84,63 @@ def test_units_have_no_mean_and_unit_deviation_and_constants_stay(modules: Any, 
     assert modules.methods.Units.of(given, "none").episodes(given).xs[0] is not None
 
 
-def test_moments_of_nested_draws_are_those_of_one_draw(modules: Any, data: Any) -> None:
-    methods = modules.methods
-    theta = methods.dictionary(data.training)
-    units = methods.Units.of(data.training, "column")
-    growing, fresh = methods.Cache(), methods.Cache()
-    for size in (8, 32, 90):
-        nested = np.hstack(growing.pairs(theta, draw(modules, data, size), units))
-    whole = np.hstack(fresh.pairs(theta, draw(modules, data, 90), units))
-    np.testing.assert_allclose(nested.T @ nested, whole.T @ whole, atol=1e-9)
+@pytest.mark.parametrize("name", ["L-EDMDc", "B-EDMDc", "PI-EDMDc"])
+def test_every_regression_is_the_lasso_that_the_paper_prints(modules: Any, data: Any, name: str) -> None:
+    """0.01 N |.|_1 with N the samples of that regression, by optimality: the subgradient of the fit holds zero."""
+    methods, given = modules.methods, draw(modules, data, 60)
+    model, units = methods.Printed(name, methods.Choices(alpha=0.01, half_step="generator")).fitted(given)
+    assert model.fit_.alpha == pytest.approx(0.01 * 60)
+    theta, episodes = model.theta_, units.episodes(data.training)
+    pairs = modules.protocol.pairs_at(episodes, given.rows, theta.n_delays)
+    psi, target = theta.evaluate(pairs), theta.next_learned(pairs)
+    k = model.K_
+    if name == "PI-EDMDc":
+        samples = units.samples(data.d2)
+        static = np.hstack([samples.x, samples.u])
+        generator, alpha = np.zeros((len(psi[0]), len(psi[0]))), 0.01 * len(samples)
+        used = np.r_[:STATES, len(psi[0]) - 2 : len(psi[0])]
+        generator[np.ix_(range(STATES), used)] = rows = lasso_by_cvxpy(static, samples.xdot, alpha)
+        assert optimal(static, samples.xdot, rows, alpha, 1e-5)
+        half = scipy.linalg.expm(0.5 * DT * generator)
+        inverse = np.linalg.inv(half)  # K_f^+ Theta' with all of Theta' = [x'; delays and inputs as they are]
+        target = (np.hstack([target, psi[:, STATES:]]) @ inverse.T)[:, :STATES]
+        psi = psi @ half.T
+        k = (inverse[:STATES] @ np.vstack([model.K_, np.eye(len(half))[STATES:]])) @ inverse
+    assert optimal(psi, target, k, 0.6, 1e-4)
 
 
-@pytest.mark.parametrize("half_step", ["generator", "flow"])
+def lasso_by_cvxpy(a: np.ndarray, y: np.ndarray, alpha: float) -> np.ndarray:
+    k = cp.Variable((y.shape[1], a.shape[1]))
+    objective = cp.sum_squares(a @ k.T - y) + alpha * cp.sum(cp.abs(k))
+    cp.Problem(cp.Minimize(objective)).solve(solver=cp.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11)
+    return np.asarray(k.value)
+
+
+def optimal(a: np.ndarray, y: np.ndarray, k: np.ndarray, alpha: float, tolerance: float) -> bool:
+    """Is zero in the subdifferential of |A K^T - Y|^2 + alpha |K|_1?"""
+    slope = 2.0 * (a @ k.T - y).T @ a
+    small = np.abs(k) < 1e-7
+    at_zero = np.abs(slope[small]).max(initial=0.0) <= alpha * (1.0 + tolerance)
+    return bool(at_zero and np.abs(slope + alpha * np.sign(k))[~small].max(initial=0.0) <= tolerance * alpha)
+
+
+@pytest.mark.parametrize("half_step", ["generator", "first-order", "flow"])
 def test_half_step_of_a_linear_f_is_its_exponential(
     modules: Any, data: Any, generator: np.ndarray, half_step: str
 ) -> None:
     methods = modules.methods
-    theta = methods.dictionary(data.training)
     units = methods.Units.of(data.training, "none")
     centred = PhaseSamples(data.d2.x - 5.0, data.d2.u, data.d2.xdot, data.d2.x_half - 5.0, DT)
     choices = methods.Choices(half_step=half_step, known="least squares", scaling="none")
-    half, facts = methods.known_half_step(theta, units.samples(centred), DT, choices)
+    model = methods.estimator("PI-EDMDc", data.training, choices)
+    problem = model._problem(data.training, None, None, None)
+    k_f = model._splitting(problem, units.samples(centred)).known()
     exact = scipy.linalg.expm(0.5 * DT * generator)
-    np.testing.assert_allclose(half[:STATES, :STATES], exact, atol=1e-10)
-    np.testing.assert_array_equal(half[STATES:, STATES:], np.eye(len(half) - STATES))
-    assert facts["half_step"] == half_step
+    if half_step == "first-order":
+        exact = np.eye(STATES) + 0.5 * DT * generator
+    np.testing.assert_allclose(k_f.K[:STATES, :STATES], exact, atol=1e-10)
+    np.testing.assert_array_equal(k_f.K[STATES:, STATES:], np.eye(len(k_f.K) - STATES))
+    assert k_f.kind == half_step
 
 
 def test_without_penalty_the_split_is_direct_regression_and_both_predict_exactly(modules: Any, data: Any) -> None:
@@ -115,8 +148,8 @@ def test_without_penalty_the_split_is_direct_regression_and_both_predict_exactly
     methods, protocol = modules.methods, modules.protocol
     choices = methods.Choices(alpha=1e-13, known="least squares")
     given = draw(modules, data, 90)
-    for fit in (methods.Direct(choices, bilinear=False), methods.Split(choices)):
-        errors = protocol.evaluate(fit(given), data.test)
+    for name in ("L-EDMDc", "PI-EDMDc"):
+        errors = protocol.evaluate(methods.Printed(name, choices)(given), data.test)
         assert errors.diverged == 0.0 and errors.shape.max() < 1e-8
 
 

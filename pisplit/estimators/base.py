@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search, hold_out
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
+from pisplit.estimators.parameters import Parameters
 from pisplit.estimators.problem import HeldOut, Problem
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
 from pisplit.lifted.model import LiftedModel
@@ -38,7 +38,7 @@ GRIDS = {"ridge": tuple(np.logspace(-10, 1, 12).tolist()), "lasso": tuple(np.log
 NOTABLE = 1.01
 
 
-class Estimator:
+class Estimator(Parameters):
     """Base of the estimators: a subclass names its options in ``__init__`` and says in ``fit`` how K is fitted.
 
     After ``fit``: ``lifted`` (LiftedModel), ``K_`` (learned rows of the operator, physical units), ``theta_`` (the
@@ -61,24 +61,6 @@ class Estimator:
     alpha_: float
     cv_: AlphaSearch | None
     bounded_: bool | None
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The options the estimator was made with (``deep`` is scikit-learn's, and changes nothing here)."""
-        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
-
-    def set_params(self: _E, **params: Any) -> _E:
-        """Change options, with the checks of the constructor; what was fitted stays until the next fit."""
-        known = self.get_params()
-        unknown = sorted(set(params) - set(known))
-        if unknown:
-            raise ValueError(f"{type(self).__name__} has no option {unknown[0]!r}; it has {', '.join(known)}")
-        replacement = type(self)(**{**known, **params})
-        for name in known:
-            setattr(self, name, getattr(replacement, name))
-        return self
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in self.get_params().items())})"
 
     def predict(self, history: Any, inputs: ArrayLike) -> Array:
         """States x_hat (T+1, n) under inputs (T, m), starting from the history.
@@ -203,7 +185,7 @@ def check_options(
     """
     if not isinstance(theta, Dictionary):
         raise ValueError(f"theta is a {type(theta).__name__}; expected a Dictionary")
-    if isinstance(alpha, str):
+    if isinstance(alpha, str | bool) or alpha is None:
         if alpha != "cv":
             raise ValueError(f"alpha = {alpha!r}; expected a number of at least zero, or 'cv'")
     else:
@@ -213,8 +195,8 @@ def check_options(
     if alphas is not None:
         if isinstance(alphas, str) or not np.iterable(alphas) or not len(list(alphas)):
             raise ValueError(f"alphas = {alphas!r}; expected numbers to choose alpha from, at least one")
-        for value in alphas:
-            non_negative(value, "alphas hold a value that")
+        for i, value in enumerate(alphas):
+            non_negative(value, f"alphas[{i}]")
     non_negative(cv_tolerance, "cv_tolerance")
     if max_radius is not None:
         positive(max_radius, "max_radius")

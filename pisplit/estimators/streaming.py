@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pisplit.checks import non_negative
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.dictionary.dictionary import Dictionary
+from pisplit.estimators.parameters import Parameters
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import lifted_model
 from pisplit.regression import ridge
@@ -14,7 +17,7 @@ from pisplit.regression.recursive import RecursiveRegression
 from pisplit.regression.scaling import column_scales
 
 
-class StreamingEDMDc:
+class StreamingEDMDc(Parameters):
     """L-EDMDc whose data arrive in pieces: memory is one triangle, and the answer that of all pairs so far at once.
 
     theta       dictionary
@@ -26,9 +29,21 @@ class StreamingEDMDc:
     """
 
     def __init__(self, theta: Dictionary, forgetting: float = 1.0, alpha: float = 0.0) -> None:
+        non_negative(alpha, "alpha")
         self.theta = theta
-        self.alpha = non_negative(alpha, "alpha")
-        self.regression = RecursiveRegression(theta.n_columns, len(theta.learned_columns), forgetting)
+        self.forgetting = forgetting
+        self.alpha = alpha
+        self._restart()
+
+    def set_params(self, **params: Any) -> StreamingEDMDc:
+        """Change options ``params``; with another dictionary or forgetting the data so far are forgotten."""
+        super().set_params(**params)
+        if {"theta", "forgetting"} & set(params):
+            self._restart()
+        return self
+
+    def _restart(self) -> None:
+        self.regression = RecursiveRegression(self.theta.n_columns, len(self.theta.learned_columns), self.forgetting)
         self._latest: tuple[Dictionary, Episodes, Pairs] | None = None
 
     def update(self, episodes: Episodes) -> StreamingEDMDc:

@@ -27,6 +27,8 @@ def check_rows(rows: Rows) -> None:
     if isinstance(rows, str) or not isinstance(rows, Sequence | Mapping | np.ndarray):
         raise ValueError(f"rows = {rows!r}; {expected}")
     entries = list(rows)
+    if not entries:
+        raise ValueError(f"rows is empty; h must act on at least one column: {expected}")
     if not (all(isinstance(e, str) for e in entries) or all(isinstance(e, bool | np.bool_) for e in entries)):
         raise ValueError(f"rows = {entries[:4]!r}; {expected}")
     if isinstance(rows, Mapping):

@@ -1,32 +1,28 @@
 """L-, B- and PI-EDMDc as the paper prints them: its dictionary, its LASSO in every regression, Strang, identity rows.
 
-Everything that the paper leaves open is an entry of :class:`Choices`.
+They are the estimators of the package with the paper's options, on data in the units of the method. Everything that the
+paper leaves open is an entry of :class:`Choices`.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from common.protocol import HISTORY, Draw, Lifted, Method, Prediction, Predictor, pairs_at
-from pisplit import Dictionary, Episodes, LiftedModel, PhaseSamples
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.lifted.operators import lifted_model
-from pisplit.regression import lasso, least_squares
-from pisplit.regression.moments import BLOCK, triangular_factor
 from pisplit.regression.scaling import column_scales
 
 Array = NDArray[np.float64]
 
 #: Unknown part of the paper's split: h acts on the velocities alone (its eq. cosserat_rod_eq).
 UNKNOWN = ("q", "omega")
-#: A generator whose half step grows more is spurious: the flow map takes its place (paper, "Practical considerations").
-SPURIOUS = 1.1
 #: A quantity's entries that deviate less than this part of its size are constants, not blown up to unit deviation: the
 #: clamped base, and the strains v of a backbone that neither stretches nor shears.
 CONSTANT = 1e-4
@@ -41,8 +37,9 @@ class Choices:
                 quantity ("quantity"), or neither ("none", physical units); open
     past        past of a static sample: it has none and delays take no part in K_f ("absent"), or it equals the
                 present ("equal"); open
-    half_step   exponential of the generator ("generator"), EDMD on the flow of f ("flow"), or the generator unless its
-                half step grows ("auto"); printed: the generator, the flow map where that is unstable
+    half_step   exponential of the generator ("generator"), its first order ("first-order"), EDMD on the flow of f
+                ("flow"), or the generator unless its half step grows ("auto"); printed: the generator, the flow map
+                where that is unstable, a first order where the flow is not to be had
     rows        K_h acts on all 144 rows ("all"), or on those where h is not zero ("velocities"); the others are then
                 those of the identity (printed as a possible adjustment)
     known       the regression of K_f is a LASSO too ("lasso", printed) or least squares ("least squares")
@@ -60,9 +57,9 @@ def paper_methods(choices: Choices | None = None) -> tuple[Method, ...]:
     """The three methods of the paper."""
     chosen = choices or Choices()
     return (
-        Method("L-EDMDc", Direct(chosen, bilinear=False)),
-        Method("B-EDMDc", Direct(chosen, bilinear=True)),
-        Method("PI-EDMDc", Split(chosen)),
+        Method("L-EDMDc", Printed("L-EDMDc", chosen)),
+        Method("B-EDMDc", Printed("B-EDMDc", chosen)),
+        Method("PI-EDMDc", Printed("PI-EDMDc", chosen)),
     )
 
 
@@ -72,50 +69,71 @@ def dictionary(data: Episodes) -> Dictionary:
     return theta.named_after(data)
 
 
-@dataclass(frozen=True)
-class Direct:
-    """K = argmin |K Theta - Theta'|^2 + alpha N |K|_1; ``bilinear`` adds u_i times all columns of Theta_x."""
+def estimator(name: str, data: Episodes, choices: Choices) -> Any:
+    """The estimator of the method ``name`` for episodes in its units."""
+    options: dict[str, Any] = {
+        "alpha": choices.alpha,
+        "penalty": "lasso",
+        "relative": "samples",  # 0.01 N
+        "solver": "active-set",
+        "scale": None,
+    }
+    theta = dictionary(data)
+    if name != "PI-EDMDc":
+        return (BilinearEDMDc if name == "B-EDMDc" else LinearEDMDc)(theta, **options)
+    sparse = choices.known == "lasso"
+    return PIEDMDc(
+        theta,
+        **options,
+        half_step=choices.half_step,
+        rows=list(UNKNOWN) if choices.rows == "velocities" else None,
+        generator_penalty="lasso" if sparse else "ridge",
+        generator_alpha=choices.alpha if sparse else 0.0,
+        past=choices.past,
+    )
 
+
+@dataclass(frozen=True)
+class Printed:
+    """Fits the method ``name``, "L-EDMDc", "B-EDMDc" or "PI-EDMDc", to a draw."""
+
+    name: str
     choices: Choices
-    bilinear: bool
-    cache: Cache = field(default_factory=lambda: Cache(), repr=False)
+    memory: Memory = field(default_factory=lambda: Memory(), repr=False)
 
     def __call__(self, draw: Draw) -> Predictor:
-        """Fit to the pairs of a draw."""
-        units = self.cache.units(draw, self.choices.scaling)
-        theta = dictionary(draw.episodes)
-        theta = theta.bilinear() if self.bilinear else theta
-        a, y = self.cache.pairs(theta, draw, units)
-        k, gap = _sparse(a, y, self.choices.alpha * len(draw))
-        return _predictor(theta, k, units, self.cache.data(draw, units), draw, {"gap": gap})
+        """Fit to the pairs of a draw, and to its phase-space samples."""
+        model, units = self.fitted(draw)
+        return InUnits(model.lifted, units)
+
+    def fitted(self, draw: Draw) -> tuple[Any, Units]:
+        """The fitted estimator, and the units it works in. Raises ValueError for an operator that is not finite."""
+        units = self.memory.of("units", draw.episodes, lambda: Units.of(draw.episodes, self.choices.scaling))
+        data = self.memory.of("data", draw.episodes, lambda: units.episodes(draw.episodes))
+        model = estimator(self.name, data, self.choices)
+        pairs = pairs_at(data, draw.rows, HISTORY)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")  # gaps and conditions are in the details of every fit
+            if self.name == "PI-EDMDc":
+                model.fit(data, units.samples(draw.d2), pairs)
+            else:
+                model.fit(data, pairs)
+        if not np.isfinite(model.K_).all():
+            raise ValueError("the operator is not finite")
+        return model, units
 
 
-@dataclass(frozen=True)
-class Split:
-    """PI-EDMDc (paper, Algorithm 1): K = K_f K_h K_f, K_f from D2 and K_h from the pairs by
+class Memory:
+    """The data in their units that the last fit of a method had: draws of one run share them."""
 
-    K_h = argmin |K_h K_f Theta - K_f^+ Theta'|^2 + alpha N |K_h|_1.
-    """
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[Any, Any]] = {}
 
-    choices: Choices
-    cache: Cache = field(default_factory=lambda: Cache(), repr=False)
-
-    def __call__(self, draw: Draw) -> Predictor:
-        """Fit to the pairs and the phase-space samples of a draw."""
-        choices, theta = self.choices, dictionary(draw.episodes)
-        units = self.cache.units(draw, choices.scaling)
-        half, facts = self.cache.half_step(theta, draw, units, choices)
-        a, y = self.cache.pairs(theta, draw, units)
-        learned = theta.learned_columns
-        others = np.setdiff1d(np.arange(theta.n_columns), learned)
-        # K_f = [[F, G], [0, I]] on [X; others]: the share G others is taken off before F^+.
-        back = np.linalg.pinv(half[np.ix_(learned, learned)])
-        target = (y - a[:, others] @ half[np.ix_(learned, others)].T) @ back.T
-        k_h = np.eye(theta.n_columns)
-        free = learned if choices.rows == "all" else _velocities(theta)
-        k_h[free], gap = _sparse(a @ half.T, target[:, np.searchsorted(learned, free)], choices.alpha * len(draw))
-        k = (half @ k_h @ half)[learned]
-        return _predictor(theta, k, units, self.cache.data(draw, units), draw, facts | {"gap": gap})
+    def of(self, name: str, source: Any, make: Callable[[], Any]) -> Any:
+        """What ``make`` makes of ``source``; what it made last is kept, with its source."""
+        if name not in self._last or self._last[name][0] is not source:
+            self._last[name] = source, make()
+        return self._last[name][1]
 
 
 @dataclass(frozen=True)
@@ -173,121 +191,3 @@ class InUnits:
             return Prediction(
                 found.points * x1[points] + x0[points], found.velocity * x1[velocity] + x0[velocity], found.diverged_at
             )
-
-
-class Cache:
-    """What fits of one method share: data in its units, moments of nested draws, half steps by phase samples.
-
-    A larger draw of the same seed goes on where the smaller ended: 64 pairs, then 128, ... read every pair once.
-    """
-
-    def __init__(self) -> None:
-        self._units: tuple[Any, Units] | None = None
-        self._data: tuple[Any, Episodes] | None = None
-        self._rows = np.empty((0, 2), dtype=np.int64)
-        self._triangle = np.empty((0, 0))
-        self._source: Any = None
-        self._halves: dict[int, tuple[PhaseSamples, Array, dict[str, Any]]] = {}
-
-    def units(self, draw: Draw, scaling: str) -> Units:
-        """Units of the draw's episodes."""
-        if self._units is None or self._units[0] is not draw.episodes:
-            self._units = (draw.episodes, Units.of(draw.episodes, scaling))
-        return self._units[1]
-
-    def data(self, draw: Draw, units: Units) -> Episodes:
-        """The draw's episodes in these units."""
-        if self._data is None or self._data[0] is not draw.episodes:
-            self._data = (draw.episodes, units.episodes(draw.episodes))
-        return self._data[1]
-
-    def pairs(self, theta: Dictionary, draw: Draw, units: Units) -> tuple[Array, Array]:
-        """Rows that stand for Theta(k) (r, M) and for the learned columns of psi(k+1) (r, S) in a regression."""
-        data = self.data(draw, units)
-        done = len(self._rows)
-        if self._source is not data or done > len(draw) or not np.array_equal(self._rows, draw.rows[:done]):
-            done, self._source = 0, data
-            self._triangle = np.zeros((0, theta.n_columns + len(theta.learned_columns)))
-        for first in range(done, len(draw), BLOCK):
-            pairs = pairs_at(data, draw.rows[first : first + BLOCK], theta.n_delays)
-            block = np.hstack([theta.evaluate(pairs), theta.next_learned(pairs)])
-            self._triangle = triangular_factor(np.vstack([self._triangle, block]))
-        self._rows = draw.rows
-        return self._triangle[:, : theta.n_columns], self._triangle[:, theta.n_columns :]
-
-    def half_step(self, theta: Dictionary, draw: Draw, units: Units, choices: Choices) -> tuple[Array, dict[str, Any]]:
-        """K_f of the draw's phase samples."""
-        key = id(draw.d2)
-        if key not in self._halves:
-            half, facts = known_half_step(theta, units.samples(draw.d2), draw.episodes.dt, choices)
-            self._halves[key] = (draw.d2, half, facts)
-        return self._halves[key][1:]
-
-
-def known_half_step(theta: Dictionary, d2: PhaseSamples, dt: float, choices: Choices) -> tuple[Array, dict[str, Any]]:
-    """K_f(dt/2) (M, M), identity in the rows of delays and inputs, and facts about it.
-
-    Raises ValueError where the exponential of the generator was asked for and overflows.
-    """
-    facts: dict[str, Any] = {"half_step": "flow"}
-    present = slice(0, theta.n_present)
-    if choices.half_step != "flow":
-        generator = _known_rows(theta, d2, choices, "generator")
-        fastest = float(np.linalg.eigvals(generator[present, present]).real.max())
-        facts["max_real"] = fastest
-        if choices.half_step == "generator" or np.exp(min(0.5 * dt * fastest, 50.0)) <= SPURIOUS:
-            with np.errstate(over="ignore", invalid="ignore"):
-                half = scipy.linalg.expm(0.5 * dt * generator)
-            if not np.isfinite(half).all() or np.abs(half).max() > 1e100:
-                raise ValueError(f"exp of the generator overflows: real parts up to {fastest:.2g} 1/s")
-            return half, facts | {"half_step": "generator"}
-    half = _known_rows(theta, d2, choices, "flow")
-    return half, facts | {"radius": float(np.abs(np.linalg.eigvals(half[present, present])).max())}
-
-
-def _known_rows(theta: Dictionary, d2: PhaseSamples, choices: Choices, kind: str) -> Array:
-    """Generator, or flow map over half a step, of f: the 144 targets regressed, other rows zero or the identity."""
-    if kind == "flow" and d2.x_half is None:
-        raise ValueError("half_step='flow' needs phase-space samples with the flow of f")
-    learned = theta.learned_columns
-    columns = np.arange(theta.n_columns)
-    if choices.past == "absent":
-        columns = np.concatenate([np.arange(theta.n_present), np.arange(theta.n_lifted, theta.n_columns)])
-    triangle = np.zeros((0, len(columns) + len(learned)))
-    for part in d2.blocks(BLOCK):
-        target = theta.present_derivative(part.x, part.xdot) if kind == "generator" else theta.present(_flown(part))
-        block = np.hstack([theta.evaluate_static(part.x, part.u)[:, columns], target[:, learned]])
-        triangle = triangular_factor(np.vstack([triangle, block]))
-    a, y = triangle[:, : len(columns)], triangle[:, len(columns) :]
-    k = _sparse(a, y, choices.alpha * len(d2))[0] if choices.known == "lasso" else least_squares(a, y).K
-    matrix = np.zeros((theta.n_columns, theta.n_columns)) if kind == "generator" else np.eye(theta.n_columns)
-    matrix[learned] = 0.0
-    matrix[np.ix_(learned, columns)] = k
-    return matrix
-
-
-def _flown(part: PhaseSamples) -> Array:
-    assert part.x_half is not None
-    return part.x_half
-
-
-def _velocities(theta: Dictionary) -> NDArray[np.int64]:
-    learned = theta.learned_columns
-    return np.array([i for i in learned if theta.column_quantities[i] in UNKNOWN])
-
-
-def _sparse(a: Array, y: Array, alpha: float) -> tuple[Array, float]:
-    """argmin |A K^T - Y|^2 + alpha |K|_1 and its largest relative duality gap."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the gap is a result of every fit
-        found = lasso(a, y, alpha, solver="active-set")
-    return found.K, float(found.gap or 0.0)
-
-
-def _predictor(theta: Dictionary, k: Array, units: Units, data: Episodes, draw: Draw, facts: dict[str, Any]) -> InUnits:
-    """The predictor of the learned rows k (144, M) in the method's units."""
-    if not np.isfinite(k).all():
-        raise ValueError("the operator is not finite")
-    pairs = pairs_at(data, draw.rows, theta.n_delays)
-    facts = facts | {"non_zero": float((k != 0.0).mean())}
-    return InUnits(lifted_model(theta, k, data, pairs, facts), units)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from common.data import PaperData
-from common.protocol import Draw, Prediction, evaluate, random_pairs, summary
-from paper.methods import Array, Choices, Split, Units, dictionary
-from pisplit import Episodes
+from common.protocol import Draw, Prediction, evaluate, pairs_at, random_pairs, summary
+from paper.methods import Array, Choices, Printed, Units
+from pisplit import Episodes, half_step
 from pisplit.checks import count
+from pisplit.generator import KnownOptions
+from pisplit.splitting import pair_moments
 
 PAIRS = 1024
 #: Singular values below this part of the largest have no inverse.
@@ -35,11 +38,23 @@ class Constant:
 def reasons(data: PaperData, pairs: int = PAIRS) -> dict[str, tuple[float, str]]:
     """Figures and their units: of predicting a constant; of K_f; of K on the training pairs, in units of deviations."""
     rows = random_pairs(data.training, count(pairs, "pairs"), 0)
-    draw, fit = Draw(data.law, data.training, rows, data.d2, 0), Split(Choices())
-    theta = dictionary(data.training)
-    units = fit.cache.units(draw, fit.choices.scaling)
-    half, facts = fit.cache.half_step(theta, draw, units, fit.choices)
-    a, y = fit.cache.pairs(theta, draw, units)
+    draw = Draw(data.law, data.training, rows, data.d2, 0)
+    fitted, units = Printed("PI-EDMDc", Choices()).fitted(draw)
+    theta, episodes = fitted.theta_, units.episodes(data.training)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what it would say is among the figures
+        k_f = half_step(
+            theta,
+            units.samples(data.d2),
+            episodes.dt,
+            np.ones(theta.n_columns),
+            fitted.half_step,
+            fitted.generator_alpha,
+            options=KnownOptions("lasso", fitted.solver, fitted.relative),
+        )
+    half = k_f.K
+    data_rows = pair_moments(theta, pairs_at(episodes, rows, theta.n_delays)).rows(centred=False)
+    a, y = data_rows[:, : theta.n_columns], data_rows[:, theta.n_columns :]
     learned, present = theta.learned_columns, slice(0, theta.n_present)
     block = half[np.ix_(learned, learned)]
     singular = np.linalg.svd(block, compute_uv=False)
@@ -50,20 +65,18 @@ def reasons(data: PaperData, pairs: int = PAIRS) -> dict[str, tuple[float, str]]
             ("standing still", Constant()),
         )
     }
-    found["fastest growth of the generator"] = (facts.get("max_real", np.nan), "1/s")
+    found["fastest growth of the generator"] = (np.nan if k_f.max_real is None else k_f.max_real, "1/s")
     found["spectral radius of the half step"] = (float(np.abs(np.linalg.eigvals(half[present, present])).max()), "")
     found["largest gain of the half step"] = (float(singular[0]), "")
     found[f"singular values above {RANK:g}"] = (float((singular > RANK * singular[0]).sum()), "")
     found["states that vary"] = (float(_varying(units, data).sum()), "")
     found["motion of f alone in half a step"] = (_motion(units, data), "deviations")
-    operator = fit(draw).model  # type: ignore[attr-defined]
     still = float(((a[:, learned] - y) ** 2).sum())
     found["one step: half step twice over nothing moves"] = (
         float(((a @ (half @ half)[learned].T - y) ** 2).sum()) / still,
         "times",
     )
-    step = np.hstack([operator.A, operator.B])[learned]
-    found["one step: PI-EDMDc over nothing moves"] = (float(((a @ step.T - y) ** 2).sum()) / still, "times")
+    found["one step: PI-EDMDc over nothing moves"] = (float(((a @ fitted.K_.T - y) ** 2).sum()) / still, "times")
     return found
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from common.data import PaperData, Scale, Source
 from common.protocol import Draw, Method, Predictor
 from common.runs import Cell, run_cells
-from paper.methods import Choices, Direct, Split
+from paper.methods import Choices, Printed
 from paper.tables import Row, table
 from pisplit import PhaseSamples
 from pisplit.models import rod
@@ -26,7 +26,7 @@ VARIATIONS: dict[str, tuple[dict[str, object], ...]] = {
     "scaling": ({"scaling": "quantity"}, {"scaling": "none"}),
     "alpha": ({"alpha": 0.1}, {"alpha": 0.001}, {"alpha": 0.0001}),
     "delays": ({"past": "equal"},),
-    "half-step": ({"half_step": "generator"}, {"known": "least squares"}),
+    "half-step": ({"half_step": "generator"}, {"half_step": "first-order"}, {"known": "least squares"}),
     "rows": ({"rows": "velocities"},),
     "parts": ({"parts": "backbone"}, {"parts": "backbone, damping"}),
 }
@@ -42,7 +42,7 @@ LEFT_OUT: dict[str, tuple[type, ...]] = {
 class OtherSamples:
     """A method that sees the phase samples of another known part."""
 
-    def __init__(self, fit: Split, by_law: Mapping[str, PhaseSamples], name: str) -> None:
+    def __init__(self, fit: Printed, by_law: Mapping[str, PhaseSamples], name: str) -> None:
         self.fit, self.by_law, self.name = fit, by_law, name
 
     def __call__(self, draw: Draw) -> Predictor:
@@ -85,10 +85,10 @@ def _methods(name: str, sources: Mapping[str, Source], data: Mapping[str, PaperD
         parts = setting.get("parts")
         choices = Choices(**{k: v for k, v in setting.items() if k != "parts"})  # type: ignore[arg-type]
         if name in SHARED or not setting:
-            yield Method(f"L-EDMDc, {label}", Direct(choices, bilinear=False))
-            yield Method(f"B-EDMDc, {label}", Direct(choices, bilinear=True))
+            yield Method(f"L-EDMDc, {label}", Printed("L-EDMDc", choices))
+            yield Method(f"B-EDMDc, {label}", Printed("B-EDMDc", choices))
         if parts is None:
-            yield Method(f"PI-EDMDc, {label}", Split(choices))
+            yield Method(f"PI-EDMDc, {label}", Printed("PI-EDMDc", choices))
             continue
         known = {law: source.arm.passive for law, source in sources.items()}
         for term in LEFT_OUT[str(parts)]:
@@ -98,4 +98,4 @@ def _methods(name: str, sources: Mapping[str, Source], data: Mapping[str, PaperD
             law: source.variant(data[law].training, short, known[law], min(PART_SAMPLES, source.scale.samples))
             for law, source in sources.items()
         }
-        yield Method(f"PI-EDMDc, {label}", OtherSamples(Split(choices), samples, short))
+        yield Method(f"PI-EDMDc, {label}", OtherSamples(Printed("PI-EDMDc", choices), samples, short))
