@@ -13,6 +13,7 @@ from pisplit.estimators.parameters import Parameters
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import lifted_model
 from pisplit.regression import ridge
+from pisplit.regression.moments import block_rows
 from pisplit.regression.recursive import RecursiveRegression
 from pisplit.regression.scaling import column_scales
 
@@ -47,13 +48,23 @@ class StreamingEDMDc(Parameters):
         self._latest: tuple[Dictionary, Episodes, Pairs] | None = None
 
     def update(self, episodes: Episodes) -> StreamingEDMDc:
-        """Add all pairs of new episodes, oldest first. Returns itself. Raises ValueError if they have another dt."""
-        if self._latest is not None and abs(episodes.dt - self._latest[1].dt) > 1e-9 * episodes.dt:
-            raise ValueError(f"new episodes have dt = {episodes.dt:g} s; those before {self._latest[1].dt:g} s")
-        theta = self.theta.named_after(episodes)
+        """Add all pairs of new episodes, oldest first. Returns itself.
+
+        Columns are matched by name with those of the first episodes. Raises ValueError if these cannot be found, or
+        have another unit or time step.
+        """
+        if self._latest is None:
+            episodes = episodes.arranged(*self.theta.wanted_names, owner="the dictionary")
+            theta = self.theta.named_after(episodes)
+        else:
+            theta, before, _ = self._latest
+            if abs(episodes.dt - before.dt) > 1e-9 * before.dt:
+                raise ValueError(f"new episodes have dt = {episodes.dt:g} s; those before {before.dt:g} s")
+            wanted = (before.state_names, before.input_names, before.units, before.input_units)
+            episodes = episodes.arranged(*wanted, owner="the episodes before")
         pairs = episodes.pairs(theta.n_delays)
-        for block in pairs.blocks():
-            self.regression.update(theta.evaluate(block), theta.next(block)[:, theta.learned_columns])
+        for block in pairs.blocks(block_rows(theta.n_columns)):
+            self.regression.update(theta.evaluate(block), theta.next_learned(block))
         self._latest = theta, episodes, pairs
         return self
 

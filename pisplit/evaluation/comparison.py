@@ -12,14 +12,18 @@ from numpy.typing import NDArray
 
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes
+from pisplit.data.pairs import Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
+from pisplit.evaluation.matching import States, model_of
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
 from pisplit.lifted.model import LiftedModel
 
 Array = NDArray[np.float64]
-States = str | Sequence[int] | Sequence[str] | None
+
+#: What a ``fit`` may ask for beside d1, by the name of its argument.
+MORE = {"d2": "phase samples", "twin": "episodes of a twin"}
 
 
 class Estimator(Protocol):
@@ -42,7 +46,11 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Open-loop errors of several models on the same episodes; ``horizons`` is empty unless some were asked for."""
+    """Open-loop errors of several models on the same episodes.
+
+    errors    roll-out errors by model
+    horizons  errors by horizon by model; empty unless some were asked for
+    """
 
     errors: Mapping[str, RolloutErrors]
     horizons: Mapping[str, HorizonErrors]
@@ -63,7 +71,9 @@ class Comparison:
         width = max(map(len, self.errors))
         ahead = [int(h) for h in next(iter(self.horizons.values())).horizons] if self.horizons else []
         head = f"{'':<{width}} {'median':>9} {'quartiles':>21} {'mean':>9} {'diverged':>9}"
-        lines = [head + "".join(f"{f'{h} steps':>12}" for h in ahead)]
+        unit = next(iter(self.errors.values())).unit
+        lines = [f"squared errors in {unit}"] if unit else []
+        lines.append(head + "".join(f"{f'{h} steps':>12}" for h in ahead))
         for name, found in self.errors.items():
             low, high = found.quartiles
             line = f"{name:<{width}} {found.median:>9.2e} {low:>10.2e} {high:>10.2e} {found.mean:>9.2e}"
@@ -81,10 +91,14 @@ def compare(
     horizons: Sequence[int] = (),
     stride: int = 1,
 ) -> Comparison:
-    """Roll every fitted estimator or model out over the test episodes; ``horizons`` adds normalised errors."""
+    """Roll every fitted estimator or model of ``models`` out over the ``test`` episodes, columns matched by name.
+
+    ``states``: output group, names or indices (default: all). ``horizons`` (steps) add normalised errors of roll-outs
+    that start at every ``stride``-th step. Raises ValueError for no models, one not fitted, or data that do not fit.
+    """
     if not models:
         raise ValueError("models is empty; give at least one fitted estimator or LiftedModel")
-    lifted = {name: _lifted(name, model) for name, model in models.items()}
+    lifted = {name: model_of(model, repr(name)) for name, model in models.items()}
     return Comparison(
         errors={name: rollout_errors(model, test, states) for name, model in lifted.items()},
         horizons={name: horizon_errors(m, test, horizons, states, stride) for name, m in lifted.items()}
@@ -124,12 +138,16 @@ class LearningCurve:
         return found
 
     def __str__(self) -> str:
-        width = max(map(len, self.errors))
+        width = max(map(len, ("pairs", *self.errors)))
         lines = [f"{'pairs':<{width}}" + "".join(f"{size:>29}" for size in self.sizes)]
         for name in self.errors:
             low, middle, high = (self.quantile(name, q) for q in (0.25, 0.5, 0.75))
             cells = [f"{b:.2e} [{a:.2e}, {c:.2e}]" for a, b, c in zip(low, middle, high, strict=True)]
             lines.append(f"{name:<{width}}" + "".join(f"{cell:>29}" for cell in cells))
+        for name in self.errors:
+            said = [message for who, _, _, message in self.refusals if who == name]
+            if said:
+                lines.append(f"{name}: {len(said)} of {self.errors[name].size} fits refused: {said[0]}")
         return "\n".join(lines)
 
 
@@ -141,10 +159,19 @@ def learning_curve(
     seeds: Sequence[int] = (0, 1, 2, 3, 4),
     d2: PhaseSamples | None = None,
     states: States = None,
+    twin: Episodes | None = None,
 ) -> LearningCurve:
     """Fit a fresh copy of every estimator to ``sizes`` pairs drawn from d1 with each of ``seeds``; errors on ``test``.
 
-    Estimators of one number of delays see the same pairs. ``d2`` goes to those whose ``fit`` takes phase samples.
+    estimators  by name: any with ``theta``, ``get_params`` and ``fit(d1, ..., pairs=...)``
+    d1, test    training episodes, and those that are rolled out: columns are matched by name
+    sizes       numbers of pairs
+    seeds       of the draws; estimators of one number of delays see the same pairs
+    d2, twin    phase samples, and episodes of a twin, for estimators whose ``fit`` has an argument of that name
+    states      output group, names or indices of the states whose errors count (default: all)
+
+    A fit that raises ValueError is recorded among the ``refusals``. Raises ValueError for nothing to fit, and for more
+    pairs than there are.
     """
     chosen, draws = tuple(count(size, "sizes") for size in sizes), tuple(int(seed) for seed in seeds)
     if not estimators or not chosen or not draws:
@@ -159,7 +186,7 @@ def learning_curve(
             for j, seed in enumerate(draws):
                 drawn = pairs.sample(size, seed)
                 try:
-                    found = _fitted(estimator, d1, d2, drawn).score(test, states)
+                    found = _fitted(estimator, d1, drawn, {"d2": d2, "twin": twin}).score(test, states)
                 except ValueError as error:
                     refusals.append((name, size, seed, str(error)))
                     continue
@@ -167,24 +194,15 @@ def learning_curve(
     return LearningCurve(chosen, draws, errors, diverged, tuple(refusals))
 
 
-def _fitted(estimator: Any, d1: Episodes, d2: PhaseSamples | None, pairs: Any) -> Estimator:
-    """A fresh copy of the estimator, fitted to these pairs."""
+def _fitted(estimator: Any, d1: Episodes, pairs: Pairs, more: Mapping[str, Any]) -> Estimator:
+    """A fresh copy of the estimator, fitted to these pairs and to what else its ``fit`` asks for by name."""
     fresh = type(estimator)(**estimator.get_params())
-    if "d2" not in inspect.signature(fresh.fit).parameters:
-        fitted: Estimator = fresh.fit(d1, pairs=pairs)
-        return fitted
-    if d2 is None:
-        raise ValueError(f"{type(estimator).__name__} needs phase samples; give d2")
-    fitted = fresh.fit(d1, d2, pairs=pairs)
+    asked = [name for name in more if name in inspect.signature(fresh.fit).parameters]
+    for name in asked:
+        if more[name] is None:
+            raise ValueError(f"{type(estimator).__name__} learns from {MORE[name]} too; give {name}")
+    fitted: Estimator = fresh.fit(d1, pairs=pairs, **{name: more[name] for name in asked})
     return fitted
-
-
-def _lifted(name: str, model: Estimator | LiftedModel) -> LiftedModel:
-    if isinstance(model, LiftedModel):
-        return model
-    if not hasattr(model, "lifted"):
-        raise ValueError(f"{name!r} is not fitted; call fit first")
-    return model.lifted
 
 
 def _finite(value: float) -> float | None:

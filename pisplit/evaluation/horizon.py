@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes
+from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
-from pisplit.evaluation.rollouts import check_same_system, state_indices
 from pisplit.lifted.model import LiftedModel
 
 Array = NDArray[np.float64]
@@ -31,6 +31,7 @@ class HorizonErrors:
     diverged    (H,) fraction of roll-outs that diverged by then
     starts      number of roll-outs
     names       (s,) of the states, with ``units`` (s,)
+    spread      (s,) standard deviation of every state in the test data, in its unit
     """
 
     horizons: NDArray[np.int64]
@@ -40,27 +41,32 @@ class HorizonErrors:
     starts: int
     names: tuple[str, ...]
     units: tuple[str, ...]
+    spread: Array
 
     def __str__(self) -> str:
-        lines = [f"{'steps':>6} {'normalised':>11} {'diverged':>9}"]
-        for h, error, fraction in zip(self.horizons, self.normalised, self.diverged, strict=True):
-            lines.append(f"{h:>6} {error:>11.3g} {100.0 * fraction:>7.1f} %")
+        lines = [f"{'steps':>6} {'normalised':>11} {'diverged':>9}  worst state"]
+        for h, error, fraction, rms in zip(self.horizons, self.normalised, self.diverged, self.rms, strict=True):
+            worst = int(np.argmax(rms / np.where(self.spread > 0.0, self.spread, np.inf)))
+            size = f"{rms[worst]:.3g} {self.units[worst]}".strip()
+            lines.append(f"{h:>6} {error:>11.3g} {100.0 * fraction:>7.1f} %  {self.names[worst]}: {size}")
         return "\n".join(lines)
 
 
 def horizon_errors(
-    model: LiftedModel,
+    model: LiftedModel | Fitted,
     episodes: Episodes,
     horizons: Sequence[int],
-    states: str | Sequence[int] | Sequence[str] | None = None,
+    states: States = None,
     stride: int = 1,
 ) -> HorizonErrors:
     """Roll out from every ``stride``-th step of every episode; errors after each of ``horizons`` steps.
 
-    ``states``: output group, names or indices (default: all). Raises ValueError if no episode is as long as the longest
-    horizon plus the delays of the model.
+    ``model``: a LiftedModel, or an estimator that was fitted. ``episodes``: test data with its states and inputs, which
+    are matched by name. ``states``: output group, names or indices (default: all). Raises ValueError for other names,
+    units, sizes or time step, and if no episode is as long as the longest horizon plus the delays of the model.
     """
-    check_same_system(model, episodes)
+    model = model_of(model)
+    episodes = matched(model, episodes, states)
     ahead = np.array(sorted({count(h, "horizons") for h in horizons}), dtype=np.int64)
     if len(ahead) == 0:
         raise ValueError("horizons is empty; give numbers of steps")
@@ -99,7 +105,8 @@ def horizon_errors(
         diverged=lost / starts,
         starts=starts,
         names=tuple(model.state_names[i] for i in chosen),
-        units=tuple((episodes.units or [""] * model.n_states)[i] for i in chosen),
+        units=tuple(model.units[i] or (episodes.units or model.units)[i] for i in chosen),
+        spread=spread,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.data.episodes import Episodes
+from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
 
@@ -21,10 +22,12 @@ class RolloutErrors:
 
     squared   one array (T_i,) an episode, a value a predicted step; infinite from the step of divergence on
     diverged  (E,) flags
+    unit      of ``squared``: "m^2"; "" where it is not known, or not one
     """
 
     squared: tuple[Array, ...]
     diverged: NDArray[np.bool_]
+    unit: str = ""
 
     @property
     def median(self) -> float:
@@ -61,25 +64,28 @@ class RolloutErrors:
     def __str__(self) -> str:
         low, high = self.quartiles
         return (
-            f"squared error {self.median:.3g} [{low:.3g}, {high:.3g}] over {len(self.squared)} episodes, "
+            f"squared error {self.median:.3g} [{low:.3g}, {high:.3g}]{' ' + self.unit if self.unit else ''} "
+            f"over {len(self.squared)} episodes, "
             f"{100 * self.diverged_fraction:.0f} % diverged"
         )
 
 
 def rollout_errors(
-    model: LiftedModel,
+    model: LiftedModel | Fitted,
     episodes: Episodes,
-    states: str | Sequence[int] | Sequence[str] | None = None,
+    states: States = None,
     weights: Array | None = None,
 ) -> RolloutErrors:
-    """Roll every episode out from its first states and compare with the truth.
+    """Roll every episode out from its first states and compare with the truth; columns are matched by name.
 
+    ``model``: a LiftedModel, or an estimator that was fitted. ``episodes``: test data with its states and inputs.
     ``states``: name of an output group of the model, state names or indices (default: all). ``weights`` (n,) multiply
     the errors of the states before they are squared. Episodes of equal length are rolled out side by side, in
     pieces that keep memory small at any number of pairs.
-    Raises ValueError for episodes of other sizes or another time step, or shorter than the model's delays.
+    Raises ValueError for episodes of other names, units, sizes or time step, or shorter than the model's delays.
     """
-    check_same_system(model, episodes)
+    model = model_of(model)
+    episodes = matched(model, episodes, states)
     chosen = state_indices(model, states)
     weight = np.ones(len(chosen)) if weights is None else np.asarray(weights)[chosen]
     delays = model.n_delays
@@ -101,7 +107,15 @@ def rollout_errors(
                     truth = episodes.xs[i][delays + piece.first + 1 : delays + end + 1, chosen]
                     error = (piece.x[row, 1 : end - piece.first + 1, chosen].T - truth) * weight
                     squared[i][piece.first : end] = (error**2).sum(axis=1)
-    return RolloutErrors(squared=squared, diverged=diverged)
+    unit = squared_unit([model.units[i] for i in chosen]) if weights is None else ""
+    return RolloutErrors(squared=squared, diverged=diverged, unit=unit)
+
+
+def squared_unit(units: Sequence[str]) -> str:
+    """Unit of a sum of squares of values in ``units``, "" if they are not all of one known unit."""
+    if len(set(units)) != 1 or not units[0]:
+        return ""
+    return f"({units[0]})^2" if "/" in units[0] else f"{units[0]}^2"
 
 
 def _groups(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -109,30 +123,3 @@ def _groups(lengths: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     for length in np.unique(lengths):
         same = np.flatnonzero(lengths == length)
         yield from (same[first : first + SIDE_BY_SIDE] for first in range(0, len(same), SIDE_BY_SIDE))
-
-
-def check_same_system(model: LiftedModel, episodes: Episodes) -> None:
-    """Raises ValueError if the episodes have other sizes or another time step than the model."""
-    if (episodes.n_states, episodes.n_inputs) != (model.n_states, model.n_inputs):
-        raise ValueError(
-            f"the episodes have {episodes.n_states} states and {episodes.n_inputs} inputs; "
-            f"the model {model.n_states} and {model.n_inputs}"
-        )
-    if abs(episodes.dt - model.dt) > 1e-9 * model.dt:
-        raise ValueError(f"the episodes have dt = {episodes.dt:g} s; the model was fitted for {model.dt:g} s")
-
-
-def state_indices(model: LiftedModel, states: str | Sequence[int] | Sequence[str] | None) -> NDArray[np.int64]:
-    """Indices of an output group, of named states, or of states given by index; all states for None."""
-    if states is None:
-        return np.arange(model.n_states)
-    if isinstance(states, str):
-        if states in model.outputs:
-            return np.array(model.outputs[states], dtype=np.int64)
-        states = [states]
-    names = {name: i for i, name in enumerate(model.state_names)}
-    indices = [names.get(s, -1) if isinstance(s, str) else int(s) for s in states]
-    if not indices or any(not 0 <= i < model.n_states for i in indices):
-        known = ", ".join([*model.outputs, *model.state_names][:8])
-        raise ValueError(f"states = {states!r}; expected an output group, state names or indices ({known}, ...)")
-    return np.array(indices, dtype=np.int64)

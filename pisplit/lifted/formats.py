@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -58,10 +59,30 @@ def to_control(model: LiftedModel) -> Any:
     except ImportError:
         raise ValueError("python-control is not installed; run: pip install control") from None
     a, b, c, d, names = state_space_matrices(model)
-    labels = {"states": model.column_names, "outputs": model.state_names, "inputs": names}
-    # Names of columns such as x1[k-1] hold characters that python-control reserves for itself.
-    plain = {key: [re.sub(r"[^\w]", "_", name) for name in group] for key, group in labels.items()}
-    return control.ss(a, b, c, d, model.dt, **plain)
+    units = dict(zip(model.state_names + model.input_names, model.units + tuple(model.input_units or ()), strict=True))
+    return control.ss(
+        a,
+        b,
+        c,
+        d,
+        model.dt,
+        states=_labels(model.column_names, {}),
+        outputs=_labels(model.state_names, units),
+        inputs=_labels(names, units),
+    )
+
+
+def _labels(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
+    """Names with units, all different, without characters that python-control reserves for itself (x1[k-1])."""
+    found: list[str] = []
+    for name in names:
+        text = f"{name}_{units[name]}" if units.get(name) else name
+        text = re.sub(r"\W+", "_", text.replace("+", "_plus_").replace("-", "_minus_")).strip("_") or "_"
+        label, number = text, 2
+        while label in found:
+            label, number = f"{text}_{number}", number + 1
+        found.append(label)
+    return found
 
 
 def to_c_header(model: LiftedModel, path: str | os.PathLike[str], name: str = "model") -> None:
@@ -102,7 +123,9 @@ def _header(model: LiftedModel, name: str) -> str:
         "DELAYS": model.n_delays,
     }
     lines = [
-        f"/* z+ = A z + B phi(u) + c, x = C z + d, every {model.dt:g} s. Include it in one source file. */",
+        f"/* z+ = A z + B phi(u) + c, x = C z + d, every {model.dt:g} s. Include it in one source file.",
+        f"   x: {_listed(model.state_names, model.units)}",
+        f"   u: {_listed(model.input_names, model.input_units or ())} */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
         *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
@@ -116,6 +139,12 @@ def _header(model: LiftedModel, name: str) -> str:
         "#endif",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _listed(names: Sequence[str], units: Sequence[str]) -> str:
+    """Names and units for a comment in C, which they must not end."""
+    text = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True))
+    return re.sub(r"[^\x20-\x7e]", "?", text).replace("*/", "* /").replace("/*", "/ *") or "none"
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:

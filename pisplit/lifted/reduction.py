@@ -43,12 +43,15 @@ def balanced_truncation(model: LiftedModel, r: int, starts: ArrayLike | None = N
 
     States count relative to ``state_range``. ``starts`` (E, M) are lifted states from which roll-outs begin: they count
     as inputs that act before the first step; without them only what inputs excite is kept. Modes that do not decay are
-    split off and kept exactly. Raises ValueError if r is above M or below the number of such modes.
+    split off and kept exactly. Raises ValueError if r is above M or below the number of such modes, and for a model
+    without inputs if no ``starts`` are given: nothing would be excited.
     """
     refuse_bilinear(model, "balanced truncation")
     size = model.n_lifted
     if count(r, "r") > size:
         raise ValueError(f"r = {r}; the model has {size} lifted states")
+    if starts is None and model.n_inputs == 0:
+        raise ValueError("the model has no inputs, so that nothing but its start moves it; give starts (E, M)")
     # Real Schur form with the modes that decay last; a Sylvester equation separates them from the others.
     schur, basis, kept = scipy.linalg.schur(model.A, sort=lambda re, im: np.hypot(re, im) > SLOW)
     if r < kept:
