@@ -19,8 +19,8 @@ class ControlSystem:
     """x' = f(x, u) + h(x, u) (paper, eq. linearly_separable_diffeq), f known to the identification, h not.
 
     x (n,) and u (m,) are symbols (SX or MX), ``known`` and ``unknown`` expressions (n,) in them.
-    ``known``, ``unknown`` and ``rhs`` are then CasADi Functions (x, u) -> (n,). Names default to x1, u1, ...; units are
-    texts ("m/s"), empty by default.
+    ``known``, ``unknown`` and ``rhs`` (eq. x_diff_eq) are then CasADi Functions (x, u) -> (n,). Names default to x1,
+    u1, ...; units are texts ("m/s"), empty by default.
 
     Raises ValueError if x or u is no column of symbols, or if an expression has another size or other free symbols.
     """
@@ -50,7 +50,7 @@ class ControlSystem:
         self.rhs = _field("rhs", x, u, kind(known) + kind(unknown))
 
     def simulate(self, x0: ArrayLike, inputs: ArrayLike, dt: float, method: str = "rk4", substeps: int = 1) -> Array:
-        """States (T+1, n) from x0 (n,) under inputs (T, m), each held over dt [s].
+        """States (T+1, n) from x0 (n,) under inputs (T, m), each held over dt [s] (paper, eq. x_flow_map).
 
         ``method`` "rk4" takes ``substeps`` classical Runge-Kutta steps per dt, "idas" controls its error itself (1e-9).
         Raises ValueError for wrong shapes and if the solution leaves the finite numbers.

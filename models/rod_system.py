@@ -13,10 +13,10 @@ from pisplit.models.rod.terms.pull import TendonTerm
 def rod_system(scene: rod.Scene, actuation: type = TendonTerm) -> ControlSystem:
     """x = [xi, xi_t] (2n,): free strains at the nodes and their rates; u (m,): the inputs of the scene.
 
-    f = (xi_t, acceleration without the terms of type ``actuation``) and h = (0, what they add to it); both solve the
-    mass matrix exactly. Inputs of other terms (a base that moves, a wrench) belong to f. ``simulate`` needs
-    ``method="idas"``: damped rods are stiff (rates up to 1e8 1/s). Inputs jump at the start of a step and stay, as with
-    ``scene.simulator(dt, inputs="step")``.
+    f = (xi_t, acceleration without the terms of type ``actuation``) and h = (0, what they add to it), as in
+    eq. cosserat_rod_eq; both solve the mass matrix exactly. Inputs of other terms (a base that moves, a wrench) belong
+    to f. ``simulate`` needs ``method="idas"``: damped rods are stiff (rates up to 1e8 1/s). Inputs jump at the start of
+    a step and stay, as with ``scene.simulator(dt, inputs="step")``.
 
     Args:
         scene: the rod with its terms.

@@ -48,7 +48,10 @@ class Evaluation(Layout):
         return self._present(pairs.x_next)[:, self.learned_columns]
 
     def next(self, pairs: Pairs) -> Array:
-        """psi (N, M_z) one step later: the history shifted, x_{k+1} and u_k at its end."""
+        """psi (N, M_z) of ``pairs`` one step later, K psi = psi o F (eq. koopman_def).
+
+        The history is shifted, with x_{k+1} and u_k at its end.
+        """
         x_next, states, inputs = pairs.x_next, pairs.x_history, pairs.u_history
         states = np.concatenate([states[:, 1:], x_next[:, None]], axis=1)
         inputs = np.concatenate([inputs, pairs.u[:, None]], axis=1)[:, 1:] if self.n_delays else inputs
@@ -81,7 +84,10 @@ class Evaluation(Layout):
         return derivative
 
     def present_derivative(self, states: Array, velocities: Array) -> Array:
-        """Lie derivative (N, n_present) of the present columns alone."""
+        """Lie derivative (N, n_present) of the present columns alone, grad_x g . f (eq. lie_deriv).
+
+        ``states`` (N, n) and ``velocities`` (N, n), the values of f.
+        """
         return self._derivative(states, velocities)
 
     def _theta(self, psi: Array, inputs: Array) -> Array:

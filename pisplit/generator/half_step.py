@@ -150,7 +150,7 @@ def flow_map(
     alpha: float = 0.0,
     options: KnownOptions = PLAIN,
 ) -> Array:
-    """K_f(dt/2) (M, M) by EDMD on the flow of f over dt/2 (paper, "Practical considerations"), on scaled columns.
+    """K_f(dt/2) (M, M) by EDMD on the flow of f over dt/2 (paper, "Evaluation of K_f"), on scaled columns.
 
     ``theta``: dictionary; ``samples``: D2 with x_half; ``dt`` [s]; ``scale`` (M,); ``alpha`` and ``options``: the
     penalty. Raises ValueError for samples without a flow, or with one of another time step.

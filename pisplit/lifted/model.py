@@ -183,7 +183,7 @@ class LiftedModel:
         return flat.reshape(len(points), self.n_inputs, self.n_features).transpose(0, 2, 1)
 
     def step(self, z: ArrayLike, u: ArrayLike) -> Array:
-        """One step z (M,) -> z+ (M,) under the input u (m,)."""
+        """One step z (M,) -> z+ (M,) under the input u (m,) (eq. update_rule)."""
         state, inputs = np.asarray(z, dtype=np.float64), np.asarray(u, dtype=np.float64)
         following = self.A @ state + self.B @ self.features(inputs[None, :])[0] + self.c
         if self.bilinear_term is not None:

@@ -64,7 +64,11 @@ def lifted_model(
 
 
 def operators(theta: Dictionary, k: Array) -> dict[str, Any]:
-    """A (M_z, M_z), B (M_z, P) and N (m, M_z, M_z) or None from the learned rows ``k`` (S, M): others are known."""
+    """A (M_z, M_z), B (M_z, P) and N (m, M_z, M_z) or None from the learned rows ``k`` (S, M): others are known.
+
+    Lifted states and functions of the inputs apart: the upper blocks of eq. hilbert_split for one time step, with the
+    columns of ``theta``.
+    """
     rows = np.zeros((theta.n_lifted, theta.n_columns))
     rows[theta.learned_columns] = k
     if theta.constant_column is not None:

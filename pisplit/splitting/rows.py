@@ -37,7 +37,9 @@ def check_rows(rows: Rows) -> None:
 
 
 def free_block(theta: Dictionary, rows: Rows) -> tuple[Index, Index, bool]:
-    """Free rows and columns of K_h, and whether its constant column is free too (it then carries no penalty).
+    """Free rows and columns of K_h, and whether its constant column is free too (paper, "Adjusting the full K_t").
+
+    A constant column that is free carries no penalty.
 
     ``theta``: dictionary of K_h. ``rows``: None = all learned rows and all columns; "inputs" = all learned rows, but
     only the columns of inputs, past and present, and their products; names of learned columns or of quantities, or a

@@ -35,6 +35,8 @@ def station_points(stations: int | ArrayLike, length: float) -> tuple[float, ...
 class Fields:
     """Map from states [xi, xi_t, u] to p, R, v, w (body), q, omega (body velocities) at stations.
 
+    The fields of eq. cosserat_rod_eq; velocities obey its kinematic rows, p_t = R q and R_t = R omega^.
+
     Where shear and stretch are not free strains, v is recovered from the internal force, v = v* + K_se^-1 n; the force
     needs the accelerations, which the balance gives exactly.
     """

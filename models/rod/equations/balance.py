@@ -17,7 +17,7 @@ from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """Weak form of the Cosserat equations at the Gauss nodes.
+    """Weak form of the Cosserat equations (paper, eq. cosserat_rod_eq) at the Gauss nodes.
 
     ``dead_force`` (3, K) in N adds an internal force at the nodes that does not depend on the motion.
     Statics is the same balance with exact zeros as rates and no inertia: nothing of the motion is left in its graph.
