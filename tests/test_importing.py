@@ -117,7 +117,7 @@ T, X, U = recording(10, 0.0)
         ({"t": T[::-1]}, "does not increase after sample 0"),
         ({"t": T[:, None]}, "t has shape"),
         ({"x": X[:5]}, "x has shape"),
-        ({"x": np.full_like(X, np.nan)}, "0 of 10 samples are complete"),
+        ({"x": np.full_like(X, np.nan)}, "x1 has 0 readings"),
         ({"dt": 0.0}, "dt = 0"),
         ({"dt": 10.0}, "no piece"),
         ({"interpolation": "spline"}, "interpolation"),

@@ -4,8 +4,8 @@ Everything a model learns from comes through here and is checked here; files are
 """
 
 from pisplit.data.columns import column_order, unit_factors
-from pisplit.data.episodes import Episodes, SimulatedSystem, Start
-from pisplit.data.pairs import Pairs, excited_directions
+from pisplit.data.episodes import Episodes, SimulatedSystem
+from pisplit.data.pairs import Pairs, Start
 from pisplit.data.phase import KnownSystem, PhaseSamples
 from pisplit.data.units import columns_to_si, to_si
 
@@ -18,7 +18,6 @@ __all__ = [
     "Start",
     "column_order",
     "columns_to_si",
-    "excited_directions",
     "to_si",
     "unit_factors",
 ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,28 @@ def labels(given: Sequence[str] | None, name: str, default: Sequence[str], uniqu
     if unique and len(set(found)) != len(found):
         raise ValueError(f"{name} repeats a name: {sorted(label for label in set(found) if found.count(label) > 1)}")
     return found
+
+
+def table_columns(arrays: Sequence[Any], given: Sequence[str] | None, name: str) -> Sequence[str] | None:
+    """``given`` names, or those of the columns where ``arrays`` are tables that name them (pandas, polars).
+
+    ``name`` is what errors call the names. Raises ValueError for tables that name their columns differently, and for
+    given names that are those of the tables in another order.
+    """
+    found = {
+        tuple(map(str, table.columns)) for table in arrays if isinstance(getattr(table, "columns", None), Iterable)
+    }
+    if not found:
+        return given
+    if len(found) > 1:
+        first, second = sorted(found)[:2]
+        raise ValueError(f"tables name their columns {list(first)[:4]} and {list(second)[:4]}; expected one order")
+    (names,) = found
+    if given is None:
+        return names
+    if tuple(given) != names and sorted(map(str, given)) == sorted(names):
+        raise ValueError(f"{name} is {list(given)[:4]}, the table has {list(names)[:4]}; give the order of its columns")
+    return given
 
 
 def column_order(

@@ -1,27 +1,27 @@
-"""Recorded trajectories (D1 of the paper) and the snapshot pairs drawn from them."""
+"""Recorded trajectories (D1 of the paper)."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import count, finite_array, positive
-from pisplit.data import store
-from pisplit.data.columns import column_order, default_names, labels, regrouped, unit_factors
-from pisplit.data.pairs import Pairs, excited_directions
+from pisplit.checks import finite_array, positive
+from pisplit.data import episode_files, matlab, recordings, tables
+from pisplit.data.columns import column_order, default_names, labels, regrouped, table_columns, unit_factors
+from pisplit.data.episode_checks import checked_arrays, extra_arrays, output_groups
+from pisplit.data.input_subspace import excited_directions
+from pisplit.data.pairs import Pairs, Start, all_pairs, checked_pairs
+from pisplit.data.rows import Rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-KIND = "pisplit/episodes"
-LABELS = ("state_names", "input_names", "quantities", "units", "input_units")
 
 
 class SimulatedSystem(Protocol):
@@ -32,31 +32,30 @@ class SimulatedSystem(Protocol):
     state_units: tuple[str, ...]
 
     def simulate(self, x0: ArrayLike, inputs: ArrayLike, dt: float, method: str, substeps: int) -> Array:
-        """States (T+1, n) from x0 (n,) under inputs (T, m), each held over dt [s]."""
+        """States (T+1, n) from x0 (n,) under inputs (T, m), each held over dt [s].
 
-
-@dataclass(frozen=True)
-class Start:
-    """What a roll-out of one episode needs, and the truth to compare with (D delays).
-
-    x_history (D+1, n), u_history (D, m), inputs (T-D, m), states (T-D+1, n) with states[0] = x_history[-1].
-    """
-
-    x_history: Array
-    u_history: Array
-    inputs: Array
-    states: Array
+        ``method`` is "rk4" or "idas", ``substeps`` the integrator's steps within dt.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """Trajectories x (T_i + 1, n) under inputs u (T_i, m), sampled every ``dt`` seconds.
+    """Trajectories under known inputs, sampled at one step. All arrays are copied, and read-only.
 
-    ``quantities`` (n,) names the physical quantity of each state ("p", "R", "q", ...): states of one quantity share one
-    scale in regressions (default: each state is its own). ``units`` (n,) of the states and ``input_units`` (m,) are
-    texts. ``outputs`` names groups of states, ``extra`` holds per-episode arrays that are saved along (for instance the
-    full simulator state), ``provenance`` is JSON-able (seed, scene, version).
+    xs             states x (T_i + 1, n), one array an episode
+    us             inputs u (T_i, m), one array an episode; row k is held from x_k to x_{k+1}. m = 0: no inputs
+    dt             time step [s]
+    state_names    (n,) default x1, x2, ..., or the names of the columns where xs are tables (pandas)
+    input_names    (m,) default u1, u2, ..., or as above
+    quantities     (n,) physical quantity of each state ("p", "R", "q", ...): states of one quantity share one scale in
+                   regressions; default: each state is its own
+    units          (n,) units of the states, texts; "" where unknown
+    outputs        {name: indices of states}, groups of states
+    extra          {name: one array an episode} saved along, for instance the full simulator state
+    provenance     JSON-able facts: seed, scene, version
+    input_units    (m,) units of the inputs, texts
 
+    ``len``, iteration and indices (an integer, a slice, a list or array of integers, a boolean mask) go by episodes.
     Raises ValueError for empty lists, episodes of one row, shapes that do not fit and entries that are not finite.
     """
 
@@ -71,24 +70,13 @@ class Episodes:
     extra: Mapping[str, Sequence[Array]] | None = None
     provenance: Mapping[str, Any] | None = None
     input_units: Sequence[str] | None = None
-    _stacked: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if isinstance(self.xs, np.ndarray) or isinstance(self.us, np.ndarray):
-            raise ValueError("xs and us are lists of arrays, one an episode; for a single episode give [x] and [u]")
-        if len(self.xs) == 0 or len(self.xs) != len(self.us):
-            raise ValueError(
-                f"got {len(self.xs)} state and {len(self.us)} input arrays; expected as many of both, >= 1"
-            )
-        n, m = np.shape(self.xs[0])[-1:], np.shape(self.us[0])[-1:]
-        xs = tuple(finite_array(x, f"xs[{i}]", (None, *n)) for i, x in enumerate(self.xs))
-        us = tuple(finite_array(u, f"us[{i}]", (None, *m)) for i, u in enumerate(self.us))
-        for i, (x, u) in enumerate(zip(xs, us, strict=True)):
-            if len(x) < 2:
-                raise ValueError(f"xs[{i}] has {len(x)} row(s); an episode needs at least two to hold a pair")
-            if len(u) != len(x) - 1:
-                raise ValueError(f"us[{i}] has {len(u)} rows for {len(x)} states; expected {len(x) - 1} (one a step)")
         put = object.__setattr__
+        given = {"state_names": self.xs, "input_names": self.us}
+        for name, arrays in given.items():
+            put(self, name, table_columns(arrays, getattr(self, name), name))
+        xs, us = checked_arrays(self.xs, self.us)
         put(self, "xs", xs)
         put(self, "us", us)
         put(self, "dt", positive(self.dt, "dt", "s"))
@@ -97,16 +85,16 @@ class Episodes:
         put(self, "quantities", labels(self.quantities, "quantities", self.state_names or (), unique=False))
         put(self, "units", labels(self.units, "units", [""] * self.n_states, unique=False))
         put(self, "input_units", labels(self.input_units, "input_units", [""] * self.n_inputs, unique=False))
-        put(self, "outputs", _output_groups(self.outputs or {}, self.n_states))
-        put(self, "extra", {name: tuple(np.asarray(a) for a in arrays) for name, arrays in (self.extra or {}).items()})
-        for name, arrays in self.extra.items():  # type: ignore[union-attr]
-            if len(arrays) != len(xs):
-                raise ValueError(f"extra[{name!r}] has {len(arrays)} arrays; expected {len(xs)}, one an episode")
-        put(self, "provenance", dict(self.provenance or {}))
+        put(self, "outputs", output_groups(self.outputs or {}, self.n_states))
+        put(self, "extra", extra_arrays(self.extra or {}, len(xs)))
+        put(self, "provenance", deepcopy(dict(self.provenance or {})))
         try:
             json.dumps(self.provenance)
         except TypeError as error:
             raise ValueError(f"provenance cannot be written as JSON: {error}; use numbers, texts, lists") from None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update({**state, "extra": extra_arrays(state["extra"], len(state["xs"]))})
 
     @property
     def n_states(self) -> int:
@@ -121,26 +109,42 @@ class Episodes:
     def __len__(self) -> int:
         return len(self.xs)
 
-    def __getitem__(self, which: int | slice) -> Episodes:
-        return self.subset(range(len(self))[which] if isinstance(which, slice) else [which])
+    def __iter__(self) -> Iterator[Episodes]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, which: int | slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Episodes:
+        """The episode ``which``, or those of a slice, of integers (k,) or under a mask (E,), as Episodes."""
+        if isinstance(which, slice):
+            return self.subset(range(len(self))[which])
+        if isinstance(which, int | np.integer) and not isinstance(which, bool | np.bool_):
+            if not -len(self) <= which < len(self):
+                raise IndexError(f"episode {which} of {len(self)}; expected 0 to {len(self) - 1}")
+            return self.subset([int(which)])
+        index: NDArray[Any] = np.asarray(which) if isinstance(which, list | np.ndarray) else np.empty((0, 0))
+        if index.ndim != 1 or index.dtype.kind not in "iub":
+            raise ValueError(
+                f"episodes[{which!r}]: give an integer, a slice, a list of integers or a mask of {len(self)} booleans"
+            )
+        if index.dtype.kind == "b" and len(index) != len(self):
+            raise ValueError(f"a mask of {len(index)} booleans for {len(self)} episodes; give one an episode")
+        return self.subset(np.flatnonzero(index) if index.dtype.kind == "b" else index.tolist())
 
     def subset(self, indices: Sequence[int] | Index) -> Episodes:
-        """The episodes at ``indices``, in that order."""
+        """The episodes at ``indices`` (integers, negative ones from the end), in that order.
+
+        Raises ValueError if there are none, and for indices beyond the last episode.
+        """
+        size = len(self)
         chosen = [int(i) for i in indices]
-        if not chosen or any(not -len(self) <= i < len(self) for i in chosen):
-            raise ValueError(f"episode indices {chosen}; expected a non-empty selection of 0 to {len(self) - 1}")
-        return Episodes(
-            xs=[self.xs[i] for i in chosen],
-            us=[self.us[i] for i in chosen],
-            dt=self.dt,
-            state_names=self.state_names,
-            input_names=self.input_names,
-            quantities=self.quantities,
-            units=self.units,
-            outputs=self.outputs,
+        if not chosen or any(not -size <= i < size for i in chosen):
+            raise ValueError(f"episode indices {chosen[:8]}; expected a non-empty selection of 0 to {size - 1}")
+        chosen = [i % size for i in chosen]
+        assert isinstance(self.xs, Rows) and isinstance(self.us, Rows)
+        return replace(
+            self,
+            xs=self.xs.take(chosen),
+            us=self.us.take(chosen),
             extra={name: [arrays[i] for i in chosen] for name, arrays in (self.extra or {}).items()},
-            provenance=self.provenance,
-            input_units=self.input_units,
         )
 
     def arranged(
@@ -173,13 +177,8 @@ class Episodes:
             ordered,
             xs=[x * factors for x in ordered.xs],
             us=[u * scales for u in ordered.us],
-            units=[
-                new if f != 1.0 else old for f, new, old in zip(factors, units or (), ordered.units or (), strict=False)
-            ],
-            input_units=[
-                new if f != 1.0 else old
-                for f, new, old in zip(scales, input_units or (), ordered.input_units or (), strict=False)
-            ],
+            units=_either(units, ordered.units),
+            input_units=_either(input_units, ordered.input_units),
         )
 
     def _reordered(self, states: Index, inputs: Index) -> Episodes:
@@ -207,27 +206,21 @@ class Episodes:
 
         Raises ValueError if no episode is long enough.
         """
-        delays = count(n_delays, "n_delays", minimum=0)
-        rows, input_rows, episodes, steps = [], [], [], []
-        first_row = first_input = 0
-        for i, u in enumerate(self.us):
-            k = np.arange(delays, len(u))
-            rows.append(first_row + k)
-            input_rows.append(first_input + k)
-            episodes.append(np.full(len(k), i))
-            steps.append(k)
-            first_row += len(u) + 1
-            first_input += len(u)
-        if sum(map(len, steps)) == 0:
-            longest = max(map(len, self.us))
-            raise ValueError(f"n_delays = {delays} needs episodes of {delays + 1} steps; the longest has {longest}")
-        row, input_row, episode, index = (
-            np.concatenate(a).astype(np.int64) for a in (rows, input_rows, episodes, steps)
-        )
-        return Pairs(self.stacked_states(), self.stacked_inputs(), row, input_row, episode, index, delays)
+        return all_pairs(self.stacked_states(), self.stacked_inputs(), [len(u) for u in self.us], n_delays)
+
+    def checked_pairs(self, pairs: Pairs, n_delays: int = 0) -> Pairs:
+        """``pairs`` that were drawn from these episodes or from equal ones, with ``n_delays`` steps of history.
+
+        Raises ValueError, in one line, for pairs of other data and for those without so much history.
+        """
+        steps = [len(u) for u in self.us]
+        return checked_pairs(pairs, self.stacked_states(), self.stacked_inputs(), steps, n_delays)
 
     def start(self, episode: int, n_delays: int = 0) -> Start:
-        """History, inputs and true states for the roll-out of one episode. Raises ValueError if it is too short."""
+        """History of ``n_delays`` steps, inputs and true states for the roll-out of the episode number ``episode``.
+
+        Raises ValueError if it is too short.
+        """
         x, u = self.xs[episode], self.us[episode]
         if len(u) <= n_delays:
             raise ValueError(f"episode {episode} has {len(u)} steps; {n_delays} delays need at least {n_delays + 1}")
@@ -241,45 +234,23 @@ class Episodes:
         return excited_directions(self.stacked_inputs())
 
     def stacked_states(self) -> Array:
-        """All states of all episodes (sum of T_i + 1, n)."""
-        if "x" not in self._stacked:
-            self._stacked["x"] = np.concatenate(list(self.xs))
-        return self._stacked["x"]
+        """All states of all episodes (sum of T_i + 1, n), the memory of ``xs``."""
+        assert isinstance(self.xs, Rows)
+        return self.xs.stacked
 
     def stacked_inputs(self) -> Array:
-        """All inputs of all episodes (sum of T_i, m)."""
-        if "u" not in self._stacked:
-            self._stacked["u"] = np.concatenate(list(self.us))
-        return self._stacked["u"]
+        """All inputs of all episodes (sum of T_i, m), the memory of ``us``."""
+        assert isinstance(self.us, Rows)
+        return self.us.stacked
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the episodes to an HDF5 file, whole or not at all."""
-        with store.writing(path, KIND) as file:
-            _write_ragged(file, "x", self.xs)
-            _write_ragged(file, "u", self.us)
-            for name, arrays in (self.extra or {}).items():
-                _write_ragged(file.require_group("extra"), store.as_key(name), arrays)
-            file.attrs["dt"] = self.dt
-            for name in LABELS:
-                store.write_strings(file, name, getattr(self, name))
-            store.write_json(file, "outputs", dict(self.outputs or {}))
-            store.write_json(file, "provenance", self.provenance)
+        """Write the episodes to the HDF5 file ``path``, whole or not at all."""
+        episode_files.write(path, {field.name: getattr(self, field.name) for field in fields(self)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Episodes:
-        """Read saved episodes. Raises one line for files that are missing, damaged, foreign or of another kind."""
-        with store.reading(path, KIND) as file:
-            more = file.get("extra", {})
-            extra = {store.from_key(key): _read_ragged(more, key) for key in more}
-            return cls(
-                xs=_read_ragged(file, "x"),
-                us=_read_ragged(file, "u"),
-                dt=float(file.attrs["dt"]),
-                outputs=store.read_json(file, "outputs"),
-                extra=extra,
-                provenance=store.read_json(file, "provenance"),
-                **{name: store.read_strings(file, name) for name in LABELS if name in file},
-            )
+        """Read episodes saved at ``path``. Raises one line for files that are missing, damaged, foreign or of another kind."""
+        return cls(**episode_files.read(path))
 
     @classmethod
     def from_system(
@@ -292,12 +263,18 @@ class Episodes:
         substeps: int = 1,
         **options: Any,
     ) -> Episodes:
-        """Simulated episodes of a system with its names and units: starts (E, n), one (T_i, m) array of inputs each.
+        """Simulated episodes of ``system``, with its names and units.
 
-        ``method`` "rk4" or "idas" and ``substeps`` as in ``system.simulate``; ``options`` are further fields.
+        starts            (E, n) first states
+        inputs            E arrays (T_i, m), each row held over a step
+        dt                time step [s]
+        method, substeps  as in ``system.simulate``: "rk4" or "idas", and its steps within dt
+        options           further fields of the episodes
+
+        Raises ValueError for shapes that are not the system's.
         """
         first = finite_array(starts, "starts", (len(inputs), None))
-        us = [np.asarray(u, dtype=np.float64) for u in inputs]
+        us = [finite_array(u, f"inputs[{i}]", (None, len(system.input_names))) for i, u in enumerate(inputs)]
         xs = [system.simulate(x, u, dt, method, substeps) for x, u in zip(first, us, strict=True)]
         named = {
             "state_names": system.state_names,
@@ -310,19 +287,26 @@ class Episodes:
 
     @classmethod
     def from_arrays(cls, t: ArrayLike, x: ArrayLike, u: ArrayLike, **options: Any) -> Episodes:
-        """Episodes from a recording, resampled and split at gaps (:func:`pisplit.data.recordings.from_arrays`)."""
-        from pisplit.data import recordings  # it makes Episodes: it cannot be imported before them
+        """Episodes from a recording: times t (N,), states x (N, n), inputs u (N, m), resampled and split at gaps.
 
-        return recordings.from_arrays(t, x, u, **options)
+        ``options`` and errors as in :func:`pisplit.data.recordings.from_arrays`.
+        """
+        return cls(**recordings.from_arrays(t, x, u, **options))
 
     @classmethod
     def from_csv(
-        cls, path: str | os.PathLike[str], time: str, states: Sequence[str], inputs: Sequence[str], **options: Any
+        cls,
+        path: str | os.PathLike[str],
+        time: str,
+        states: str | Sequence[str],
+        inputs: str | Sequence[str],
+        **options: Any,
     ) -> Episodes:
-        """Episodes from a table with one header line (:func:`pisplit.data.recordings.from_csv`)."""
-        from pisplit.data import recordings
+        """Episodes from the table ``path`` with a header: names of its columns of ``time``, ``states`` and ``inputs``.
 
-        return recordings.from_csv(path, time, states, inputs, **options)
+        ``options`` and errors as in :func:`pisplit.data.tables.from_csv`.
+        """
+        return cls(**tables.from_csv(path, time, states, inputs, **options))
 
     @classmethod
     def from_mat(
@@ -333,28 +317,13 @@ class Episodes:
         inputs: str | Sequence[str],
         **options: Any,
     ) -> Episodes:
-        """Episodes from variables of a MATLAB file (:func:`pisplit.data.recordings.from_mat`)."""
-        from pisplit.data import recordings
+        """Episodes from the MATLAB file ``path``: names of its variables of ``time``, ``states`` and ``inputs``.
 
-        return recordings.from_mat(path, time, states, inputs, **options)
-
-
-def _write_ragged(group: h5py.Group, name: str, arrays: Sequence[Array]) -> None:
-    rows = {(a.dtype if a.dtype.kind != "U" else "text", a.shape[1:]) for a in arrays}
-    if len(rows) > 1 or any(a.ndim == 0 for a in arrays):
-        raise ValueError(f"arrays of {name} differ in type or shape of their rows; a file holds rows of one kind")
-    values = np.concatenate(list(arrays))
-    store.write_arrays(group.create_group(name), {"lengths": np.array([len(a) for a in arrays]), "values": values})
+        ``options`` and errors as in :func:`pisplit.data.matlab.from_mat`.
+        """
+        return cls(**matlab.from_mat(path, time, states, inputs, **options))
 
 
-def _read_ragged(group: h5py.Group, name: str) -> list[Array]:
-    part = store.read_arrays(group[name])
-    return np.split(part["values"], np.cumsum(part["lengths"])[:-1])
-
-
-def _output_groups(outputs: Mapping[str, Sequence[int]], n_states: int) -> dict[str, tuple[int, ...]]:
-    groups = {name: tuple(int(i) for i in group) for name, group in outputs.items()}
-    for name, group in groups.items():
-        if any(not 0 <= i < n_states for i in group):
-            raise ValueError(f"outputs[{name!r}] = {group}; expected state indices from 0 to {n_states - 1}")
-    return groups
+def _either(wanted: Sequence[str] | None, given: Sequence[str] | None) -> list[str]:
+    """Units that are wanted, or those that are given where none is."""
+    return [new or old for new, old in zip(wanted or given or (), given or (), strict=True)]

@@ -1,27 +1,51 @@
-"""Snapshot pairs with their history, and the directions in which inputs vary."""
+"""Snapshot pairs with their history, all of the same episode."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import count
+from pisplit.data.rows import frozen, refrozen
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-EXCITED = 1e-6
-
 
 @dataclass(frozen=True)
-class Pairs:
-    """N snapshot pairs with their history; arrays are gathered when asked for, so that only indices are stored.
+class Start:
+    """What a roll-out of one episode needs, and the truth to compare with (D delays).
 
-    states (R, n) and inputs (R', m) are all rows of all episodes; ``row`` and ``input_row`` (N,) point at x_k and u_k.
-    ``episode`` and ``index`` (N,) say which episode a pair is from, and its step k there.
+    x_history  (D+1, n) states before and at the first step
+    u_history  (D, m) inputs before it
+    inputs     (T-D, m) inputs of the roll-out
+    states     (T-D+1, n) the truth, with states[0] = x_history[-1]
+    """
+
+    x_history: Array
+    u_history: Array
+    inputs: Array
+    states: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """N snapshot pairs with their history, as positions in the rows of all episodes: no state is stored twice.
+
+    states    (R, n) and
+    inputs    (R', m) all rows of all episodes, read-only, usually the memory of the episodes themselves
+    row       (N,) position of x_k in ``states``; x_{k+1} is the row after it
+    input_row (N,) position of u_k in ``inputs``
+    episode   (N,) number of the episode that a pair is from
+    index     (N,) its step k there
+    n_delays  D, steps of history
+
+    What is gathered (``x``, ``x_next``, ``u``, histories) is a new array at every call: walk through ``blocks`` where
+    there are many pairs.
     """
 
     states: Array
@@ -31,6 +55,13 @@ class Pairs:
     episode: Index
     index: Index
     n_delays: int
+
+    def __post_init__(self) -> None:
+        for name in ("states", "inputs", "row", "input_row", "episode", "index"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
 
     def __len__(self) -> int:
         return len(self.row)
@@ -61,13 +92,13 @@ class Pairs:
         return self.inputs[self.input_row[:, None] + np.arange(-self.n_delays, 0)]
 
     def take(self, which: ArrayLike) -> Pairs:
-        """The pairs at integer positions, in a slice-like index array or under a boolean mask."""
+        """The pairs at positions ``which`` (integers) or under a boolean mask (N,) of that name."""
         chosen = np.arange(len(self))[np.asarray(which)]
         arrays = (self.row[chosen], self.input_row[chosen], self.episode[chosen], self.index[chosen])
         return Pairs(self.states, self.inputs, *arrays, n_delays=self.n_delays)
 
     def sample(self, n: int, seed: int) -> Pairs:
-        """``n`` pairs drawn without replacement. Raises ValueError if there are fewer."""
+        """``n`` pairs drawn without replacement by a generator of ``seed``. Raises ValueError if there are fewer."""
         size = count(n, "n")
         if size > len(self):
             raise ValueError(f"n = {size} pairs asked for; the episodes hold {len(self)}")
@@ -79,13 +110,44 @@ class Pairs:
             yield self.take(np.arange(first, min(first + size, len(self))))
 
 
-def excited_directions(inputs: Array) -> tuple[Array, Array]:
-    """Mean (m,) of inputs (N, m) and an orthonormal basis (m, r) of the directions in which they vary.
+def all_pairs(states: Array, inputs: Array, steps: Sequence[int], n_delays: int) -> Pairs:
+    """All pairs with ``n_delays`` steps of history of episodes of so many ``steps`` (E,).
 
-    A direction counts if its singular value exceeds 1e-6 of the largest.
+    ``states`` (R, n) and ``inputs`` (R', m) are all their rows. Raises ValueError if no episode is long enough.
     """
-    offset = inputs.mean(axis=0)
-    _, values, directions = np.linalg.svd(inputs - offset, full_matrices=False)
-    rounding = np.finfo(float).eps * float(np.abs(inputs).max(initial=0.0)) * len(inputs)
-    excited = values > max(EXCITED * float(values.max(initial=0.0)), rounding)
-    return offset, directions[excited].T.copy()
+    delays = count(n_delays, "n_delays", minimum=0)
+    own = [np.arange(delays, size) for size in steps]
+    if not sum(map(len, own)):
+        raise ValueError(f"n_delays = {delays} needs episodes of {delays + 1} steps; the longest has {max(steps)}")
+    episode = np.repeat(np.arange(len(steps)), [len(k) for k in own])
+    index = np.concatenate(own)
+    input_row = (np.cumsum(steps) - np.asarray(steps))[episode] + index
+    return Pairs(states, inputs, input_row + episode, input_row, episode, index, delays)
+
+
+def checked_pairs(pairs: Pairs, states: Array, inputs: Array, steps: Sequence[int], n_delays: int) -> Pairs:
+    """``pairs`` of the episodes with rows ``states`` (R, n), ``inputs`` (R', m) and ``steps`` (E,), or of equal ones.
+
+    The result has ``n_delays`` steps of history. Raises ValueError for pairs of other data or without that history.
+    """
+    if not isinstance(pairs, Pairs):
+        raise ValueError(f"pairs is a {type(pairs).__name__}; expected what d1.pairs(...) gives")
+    if len(pairs) == 0:
+        raise ValueError("pairs holds no pair; make them with d1.pairs(...)")
+    if not (_equal(pairs.states, states) and _equal(pairs.inputs, inputs) and _placed(pairs, np.asarray(steps))):
+        raise ValueError("pairs are of other data, not from these episodes; make them with d1.pairs(...)")
+    if int(pairs.index.min()) < n_delays:
+        raise ValueError(f"pairs need {n_delays} steps of history; make them with d1.pairs({n_delays})")
+    return replace(pairs, n_delays=n_delays)
+
+
+def _equal(first: Array, second: Array) -> bool:
+    return first is second or np.array_equal(first, second)
+
+
+def _placed(pairs: Pairs, steps: Index) -> bool:
+    """Whether every row is that of its step in episodes of so many ``steps``."""
+    if pairs.episode.min() < 0 or pairs.episode.max() >= len(steps) or (pairs.index >= steps[pairs.episode]).any():
+        return False
+    expected = (np.cumsum(steps) - steps)[pairs.episode] + pairs.index
+    return np.array_equal(pairs.input_row, expected) and np.array_equal(pairs.row, expected + pairs.episode)

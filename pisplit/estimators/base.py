@@ -100,7 +100,7 @@ class Estimator(Parameters):
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
         theta = self._dictionary(d1)
-        chosen = d1.pairs(theta.n_delays) if pairs is None else _checked(pairs, d1, theta)
+        chosen = d1.pairs(theta.n_delays) if pairs is None else d1.checked_pairs(pairs, theta.n_delays)
         rest = None if equilibria is None else _resting(equilibria, theta)
         held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
         moments = pair_moments(theta, chosen, rest)
@@ -202,15 +202,6 @@ def check_options(
         positive(max_radius, "max_radius")
     if not (cv_states is None or isinstance(cv_states, str) or np.iterable(cv_states)):
         raise ValueError(f"cv_states = {cv_states!r}; expected an output group, names or positions of states")
-
-
-def _checked(pairs: Pairs, d1: Episodes, theta: Dictionary) -> Pairs:
-    """``pairs`` of these episodes with the history that the dictionary needs."""
-    if pairs.states.shape != d1.stacked_states().shape or pairs.inputs.shape != d1.stacked_inputs().shape:
-        raise ValueError("pairs are not from these episodes; make them with d1.pairs(...)")
-    if len(pairs) == 0 or int(pairs.index.min()) < theta.n_delays:
-        raise ValueError(f"pairs need {theta.n_delays} steps of history; make them with d1.pairs({theta.n_delays})")
-    return replace(pairs, n_delays=theta.n_delays)
 
 
 def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
