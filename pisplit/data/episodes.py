@@ -249,7 +249,7 @@ class Episodes:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Episodes:
-        """Read episodes saved at ``path``. Raises one line for files that are missing, damaged, foreign or of another kind."""
+        """Read episodes saved at ``path``. One line for files that are missing, damaged, foreign or of another kind."""
         return cls(**episode_files.read(path))
 
     @classmethod

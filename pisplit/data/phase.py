@@ -182,7 +182,7 @@ class PhaseSamples:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> PhaseSamples:
-        """Read samples saved at ``path``. Raises one line for files that are missing, damaged, foreign or of another kind."""
+        """Read samples saved at ``path``. One line for files that are missing, damaged, foreign or of another kind."""
         with store.reading(path, KIND) as file:
             return cls(
                 x=file["x"][()],
