@@ -11,6 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -26,34 +27,28 @@ plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False, "savef
 
 
 def draw_tracking(runs: dict[str, dict[str, LoopLog]], path: Path) -> None:
-    """Tip path, tip error and displacements of every controller, one row a task."""
-    figure, axes = plt.subplots(len(runs), 3, figsize=(16.5, 4.6 * len(runs)), constrained_layout=True, squeeze=False)
+    """Tip path, tip error and displacements of every controller, one row a task; the legend below covers no data."""
+    figure, axes = plt.subplots(len(runs), 3, figsize=(15.0, 4.6 * len(runs)), constrained_layout=True, squeeze=False)
+    styles = {"tendon 1": "-", "tendon 2": "--", "tendon 3": ":"}
     for row, (task, logs) in zip(axes, runs.items(), strict=True):
-        any_log = next(iter(logs.values()))
-        wanted = 1e3 * any_log.reference
-        row[0].plot(wanted[:, 0], wanted[:, 1], "k--", lw=1.0, label="reference")
+        wanted = 1e3 * next(iter(logs.values())).reference
+        row[0].plot(wanted[:, 0], wanted[:, 1], "k--", lw=1.0)
         row[0].plot(*wanted[-1, :2], "k+", ms=9)
         for name, log in logs.items():
             colour = COLOURS[name]
-            row[0].plot(1e3 * log.y[:, 0], 1e3 * log.y[:, 1], color=colour, lw=1.3, label=name)
-            row[1].semilogy(log.t[1:], np.maximum(1e3 * tip_error(log)[1:], 1e-4), color=colour, lw=1.2, label=name)
-        for k, line in enumerate(("-", "--", ":")):
-            for name, log in logs.items():
-                if name != "feed-forward":
-                    label = f"{name}, tendon {k + 1}"
-                    row[2].plot(log.t[1:], 1e3 * log.u[:, k], line, color=COLOURS[name], lw=1.1, label=label)
+            row[0].plot(1e3 * log.y[:, 0], 1e3 * log.y[:, 1], color=colour, lw=1.3)
+            row[1].semilogy(log.t[1:], np.maximum(1e3 * log.error[1:], 1e-4), color=colour, lw=1.2)
+            if name != "feed-forward":
+                for k, line in enumerate(styles.values()):
+                    row[2].plot(log.t[1:], 1e3 * log.u[:, k], line, color=colour, lw=1.1)
         row[0].set(xlabel="tip x (mm)", ylabel="tip y (mm)", title=f"{task}: tip path", aspect="equal")
         row[1].set(xlabel="time (s)", ylabel="tip error in x, y (mm)", title=f"{task}: error")
         row[2].set(xlabel="time (s)", ylabel="tendon displacement (mm)", title=f"{task}: inputs")
-        row[0].legend(loc="best")
-        row[1].legend(loc="best")
-        row[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    entries = {"reference": Line2D([], [], color="k", ls="--", lw=1.0)}
+    entries |= {name: Line2D([], [], color=COLOURS[name], lw=2.0) for name in next(iter(runs.values()))}
+    entries |= {name: Line2D([], [], color="k", ls=line, lw=1.1) for name, line in styles.items()}
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=len(entries))
     save_figure(figure, path)
-
-
-def tip_error(log: LoopLog) -> Array:
-    """Distance in m between tip and reference in the coordinates that the reference gives."""
-    return np.asarray(np.sqrt(np.nansum((log.y - log.reference) ** 2, axis=1)))
 
 
 def shapes(log: LoopLog, stations: int) -> Array:
