@@ -389,6 +389,7 @@ def test_the_shifted_plan_and_its_multipliers_solve_the_next_problem() -> None:
         ({"u_min": None}, "u_min = None; give the lower limits"),
         ({"u_max": None}, "u_max = None; give the upper limits"),
         ({"du_max": None}, "du_max = None; give the largest change per step"),
+        ({"u_min": 0.01}, "u_min = 0.01 is not below u_max = 0.01"),
         ({"u_min": 0.02, "u_max": -0.02}, "u_min = 0.02 is not below u_max = -0.02"),
         ({"y_min": [0.0]}, "y_min = .* expected a number or 3 numbers"),
         ({"output_scale": [1.0, 2.0]}, "output_scale = .* expected a number or 3 numbers"),

@@ -13,7 +13,7 @@ from pisplit.dictionary.products import Transition
 
 @dataclass(frozen=True)
 class EstimatorState:
-    """The estimate w (M,) and the lifted state (M,) predicted for the next measurement, None before the first."""
+    """The ``disturbance`` w (M,) and the lifted state (M,) ``predicted`` for the next measurement, None before it."""
 
     disturbance: Array
     predicted: Array | None

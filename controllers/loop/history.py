@@ -10,6 +10,8 @@ from pisplit.checks import Array
 class History:
     """The last D + 1 states (D+1, n) and D inputs (D, m), oldest first.
 
+    ``n_delays`` is D, ``n_states`` n and ``u0`` (m,) the input before the first step.
+
     Before enough is known the first measurement and the first input stand for everything earlier: an arm at rest.
     """
 
@@ -20,7 +22,7 @@ class History:
         self._empty = True
 
     def measure(self, x: Array) -> None:
-        """Append the state (n,) measured now."""
+        """Append the state ``x`` (n,) measured now."""
         if self._empty:
             self.states[:] = x
             self._empty = False
@@ -29,7 +31,7 @@ class History:
             self.states[-1] = x
 
     def apply(self, u: Array) -> None:
-        """Append the input (m,) applied from now on."""
+        """Append the input ``u`` (m,) applied from now on."""
         if len(self.inputs):
             self.inputs[:-1] = self.inputs[1:]
             self.inputs[-1] = u

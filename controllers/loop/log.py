@@ -30,7 +30,8 @@ class LoopLog:
 
     dt [s], t (N+1,) [s], x (N+1, n) measured states in the order of the model, reference (N+1, p) with NaN where an
     output was free, u (N, m) applied inputs, u0 (m,) the input before them. ``tracked`` (p,): indices of the tracked
-    states. Names and units (n,), (m,) of states and inputs; a unit is "" where nobody told it.
+    states. ``state_names``, ``state_units`` (n,) and ``input_names``, ``input_units`` (m,) in the order of the model; a
+    unit is "" where nobody told it.
     Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
     ``plant_time`` [s]. ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
     ``message``: why the run ended early, empty otherwise; the arrays hold what was run. ``notes``: what else is to be

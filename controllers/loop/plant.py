@@ -12,7 +12,7 @@ from pisplit.checks import Array
 
 @dataclass(frozen=True)
 class PlantStep:
-    """State (n_states,) measured after one step. ``ok`` False: the step failed, and ``message`` says why."""
+    """``state`` (n_states,) measured after one step. ``ok`` False: the step failed, and ``message`` says why."""
 
     state: Array
     ok: bool = True

@@ -36,7 +36,7 @@ class Recorder:
         return copy.deepcopy(self)
 
     def add(self, move: Move, u: Array, plant_time: float, x: Array) -> None:
-        """A completed step: ``move``, the input ``u`` (m,) that was applied, seconds of the plant, the state (n,)."""
+        """A completed step: ``move``, applied input ``u`` (m,), ``plant_time`` [s], state ``x`` (n,) after it."""
         self.moves.append(move)
         self.u.append(u)
         self.plant_time.append(plant_time)

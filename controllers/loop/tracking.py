@@ -19,8 +19,9 @@ class Move:
     """What a controller answers to one measurement.
 
     u (m,): input to apply over the coming step, inside all limits. ``status``: the solver's word, or why there was no
-    solve. ``fallback``: True if u comes from the last good plan instead. ``solve_time``: wall time of the whole step
-    [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs expected under the plan.
+    solve, after so many ``iterations``. ``fallback``: True if u comes from the last good plan instead. ``solve_time``:
+    wall time of the whole step [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs
+    expected under the plan.
     """
 
     u: Array

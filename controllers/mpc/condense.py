@@ -14,7 +14,8 @@ from pisplit.checks import Array, count, finite_array
 class Condensed:
     """y_{k+j} = C A^j z_k + sum_{i<j} C A^{j-1-i} (B phi_{k+i} + c + w) + d for j = 1 .. H, with w constant.
 
-    M lifted states, P input features, p outputs. The rows of ``free`` and ``disturbance`` are ordered stage by stage.
+    M lifted states, P input features, p = ``n_outputs`` outputs, H = ``horizon``. The rows of ``free``, ``disturbance``
+    and ``constant`` are ordered stage by stage; ``impulse`` holds the answer to one feature in one step.
     """
 
     free: Array  # (H p, M): C A^j
@@ -33,7 +34,7 @@ class Condensed:
         return blocks
 
     def predict(self, z: ArrayLike, features: ArrayLike, disturbance: ArrayLike | None = None) -> Array:
-        """Outputs (H, p) at steps k+1 .. k+H from z_k (M,), features (H, P) and a constant disturbance w (M,)."""
+        """Outputs (H, p) of steps k+1 .. k+H from ``z`` (M,) at k, ``features`` (H, P), a ``disturbance`` (M,)."""
         H, p, P = self.impulse.shape
         y = self.free @ finite_array(z, "z", (self.free.shape[1],)) + self.constant
         if disturbance is not None:

@@ -73,7 +73,9 @@ def input_limits(
     offset: Array | None = None,
     basis: Array | None = None,
 ) -> InputLimits:
-    """Limits for ``n_inputs`` inputs, numbers or (m,), in input units (du_max per step), with or without a plane.
+    """Limits of ``n_inputs`` inputs, with or without a plane ``offset`` (m,) + span(``basis`` (m, r)).
+
+    u_min, u_max, du_max: numbers or (m,), in input units, du_max per step.
 
     Raises ValueError on wrong lengths, an empty box, du_max <= 0, or a box that the plane offset + span(basis) misses.
     """

@@ -28,7 +28,8 @@ GROWTH_LIMIT = 100.0
 
 @dataclass(frozen=True, eq=False)
 class MPCState:
-    """State of an MPC between two steps: delays, last plan (None before the first), disturbance estimate, solver."""
+    """An MPC between two steps: ``history`` of delays, last ``plan`` (None before the first), states of the disturbance
+    ``estimator`` and of the ``problem``."""
 
     history: History
     plan: Array | None

@@ -29,8 +29,9 @@ class Weights:
 
 @dataclass(frozen=True)
 class ProblemState:
-    """What the next solve depends on: the solver's state, the response S (H p, H r), which outputs are specified
-    (H p,), the factors of cost and rows, and the multipliers (k,) in units that these do not change."""
+    """What the next solve depends on: the state ``qp`` of the solver, the response S (H p, H r), which outputs are
+    ``specified`` (H p,), the factors ``normalise`` of the cost and ``reach`` of the rows, and the ``multipliers`` (k,)
+    in units that these do not change."""
 
     qp: QPState
     S: Array

@@ -37,7 +37,8 @@ class QPSettings:
 
 @dataclass(frozen=True)
 class QPResult:
-    """Outcome of one solve. ``x`` is None unless the status (with the residual, at the iteration limit) vouches for it.
+    """Outcome of a solve in ``iterations``. ``x`` is None unless ``status`` (with the residual, at the iteration limit)
+    vouches for it.
 
     ``primal_residual`` is the largest constraint violation of the iterate, in the units of the rows.
     """

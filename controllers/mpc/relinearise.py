@@ -12,7 +12,8 @@ from pisplit.lifted.model import LiftedModel
 class AlongPlan:
     """Outputs y = C z + d of z+ = A z + B phi(u) + sum_i u_i N_i z + c + w along a plan, and their first derivative.
 
-    ``read`` (p, M) and ``offset`` (p,) are the rows of C and d that are tracked, T (m, r) = du/dv.
+    ``model``: a bilinear one; ``read`` (p, M) and ``offset`` (p,) are the rows of C and d that are tracked,
+    T (m, r) = du/dv.
     """
 
     def __init__(self, model: LiftedModel, read: Array, offset: Array, T: Array) -> None:
