@@ -18,7 +18,7 @@ from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
 from pisplit.models.rod.terms.distributed import DistributedWrench
 from pisplit.models.rod.terms.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
 from pisplit.models.rod.terms.gravity import Gravity
-from pisplit.models.rod.terms.loads import Input
+from pisplit.models.rod.terms.loads import Input, NoEffect
 from pisplit.models.rod.terms.points import PointMass, PointWrench, Spring
 from pisplit.models.rod.terms.routing import Helix, Line
 from pisplit.models.rod.terms.tendons import Displacement, Tendons, Tension
@@ -40,6 +40,7 @@ __all__ = [
     "KelvinVoigt",
     "Line",
     "LinearDrag",
+    "NoEffect",
     "PointMass",
     "PointWrench",
     "QuadraticDrag",

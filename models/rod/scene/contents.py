@@ -13,12 +13,8 @@ from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.chambers import Chambers
-from pisplit.models.rod.terms.loads import Input, Term
+from pisplit.models.rod.terms.loads import Input, NoEffect, Term
 from pisplit.models.rod.terms.pull import TendonTerm
-
-
-class NoEffect(UserWarning):
-    """Something in a scene acts on nothing there."""
 
 
 class Contents:

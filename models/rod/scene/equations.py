@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.equations.balance import Balance
-from pisplit.models.rod.scene.contents import Contents, NoEffect
+from pisplit.models.rod.scene.contents import Contents
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
+from pisplit.models.rod.terms.loads import NoEffect
 from pisplit.models.rod.terms.pull import Pull, TendonTerm
 
 
@@ -159,6 +160,18 @@ class Equations(Contents):
                 pull.check(array[..., start : start + item.size].reshape(-1, item.size), name)
             start += item.size
         return array
+
+    @cached_property
+    def input_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest inputs (n_inputs,) each that ``checked_inputs`` lets pass, infinite where any will do."""
+        low, high, start = np.full(self.n_inputs, -np.inf), np.full(self.n_inputs, np.inf), 0
+        for item in self.inputs:
+            pull = self._pulls.get(item.name)
+            if pull is not None:
+                entries = slice(start, start + item.size)
+                low[entries], high[entries] = pull.limits
+            start += item.size
+        return _fixed(low), _fixed(high)
 
     @cached_property
     def _pulls(self) -> dict[str, Pull]:

@@ -55,7 +55,8 @@ def inverse(
     if m == 0:
         raise ValueError("the scene has no inputs; inverse statics needs tendons or another input")
     asked = np.isfinite(goal)
-    low, high = _limits(limits, m)
+    least, most = scene.input_limits
+    low, high = (np.clip(limit, least, most) for limit in _limits(limits, m))
     u = np.clip(np.zeros(m) if start is None else finite_array(start, "start", (m,)), low, high)
     reach = positive(tolerance, "inverse tolerance") * length
     equilibrium = statics.solve(u)

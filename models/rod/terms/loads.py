@@ -13,6 +13,10 @@ from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.kinematics.kinematics import Motion
 
 
+class NoEffect(UserWarning):
+    """Something in a scene acts on nothing there."""
+
+
 @dataclass(frozen=True)
 class Input:
     """A named input of the scene with ``size`` entries, in place of a fixed number."""

@@ -33,6 +33,11 @@ class Pull:
         """The lengths as numbers."""
         return None if self.lengths is None else self.lengths.tolist()
 
+    @property
+    def limits(self) -> tuple[float, Array | float]:
+        """Lowest and highest inputs, one or (m,)."""
+        return (0.0, np.inf) if self.lengths is None else (-np.inf, np.nextafter(self.lengths, 0.0))
+
     def check(self, inputs: Array, name: str) -> None:
         """Raise ValueError where rows of inputs (N, m) cannot be; ``name`` is what the message calls them."""
         if not inputs.size:
