@@ -53,11 +53,11 @@ def main() -> None:
     stale = [e for e in EQUIVALENT if e.gone(source)] if given.root == ROOT else []
 
     load_libraries(LIBRARIES if given.root == ROOT else ("coverage", "pytest"))
-    reach = measure_reach(copies, given.out / "reach.json")
+    reach = measure_reach(copies, given.out / "reach.json", given.tests)
     for copy in copies[1:]:
         copy.take_bytecode(copies[0])
         copies[0].take_bytecode(copy)
-    results = _try_all(rooms, reach, copies, Results(given.out / "results.json", copies[0]), given)
+    results = _try_all(rooms, reach, copies, Results(given.out / "results.json", copies[0], given.tests), given)
 
     report = Report.of("Mutants", given)
     noticed, total = sum(r.noticed for r in results.values()), len(results)
@@ -89,6 +89,7 @@ def _arguments() -> argparse.Namespace:
     made = parser(__doc__.splitlines()[0], "out/mutants")
     made.add_argument("--sample", type=int, default=360, metavar="N", help="number of random mutants")
     made.add_argument("--module", default="", metavar="TEXT", help="only files whose path contains this, and no named")
+    made.add_argument("--tests", nargs="*", default=[], metavar="TEXT", help="only test files named like this")
     made.add_argument("--jobs", type=int, default=2, metavar="N", help="mutants at a time")
     made.add_argument("--budget", type=float, default=40.0, metavar="S", help="CPU time of the tests of one mutant")
     made.add_argument(

@@ -129,7 +129,7 @@ def _formulas(node: ast.AST) -> Iterator[ast.AST]:
     """Nodes that compute something: no annotations, texts, messages, decorators, imports or types."""
     if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr | ast.Import | ast.ImportFrom | ast.Global):
         return
-    if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "__name__ == '__main__'"):
+    if isinstance(node, ast.If) and ast.unparse(node.test).startswith(("TYPE_CHECKING", "__name__ ==")):
         return
     yield node
     for name, value in ast.iter_fields(node):

@@ -6,7 +6,7 @@ import functools
 import json
 import os
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,18 +51,20 @@ class Reach:
     unmeasured: tuple[str, ...]
 
 
-def measure_reach(copies: list[Copy], kept: Path, quiet: bool = False) -> Reach:
-    """Measure every test file of the copies whose own contents, or those of a file it executes, changed since."""
+def measure_reach(copies: list[Copy], kept: Path, only: Sequence[str] = ()) -> Reach:
+    """Measure every test file of the copies whose own contents, or those of a file it executes, changed since.
+
+    ``only``: parts of the names of the test files that matter; all of them if empty.
+    """
     folder = copies[0].folder
     entries: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {}
     names = sorted(path.relative_to(folder).as_posix() for path in (folder / "tests").rglob("test_*.py"))
     entries = {name: entries[name] for name in names if name in entries and _current(folder, entries[name])}
-    wanted = [name for name in names if name not in entries]
+    asked = [name for name in names if not only or any(part in name for part in only)]
+    wanted = [name for name in asked if name not in entries]
     unmeasured = []
     tasks = (Task(name, _measure, lambda _copy, _item: nullcontext(), WALL) for name in wanted)
-    for name, end in tqdm(
-        run_forked(tasks, copies), "who tests what", len(wanted), unit="file", disable=quiet or not wanted
-    ):
+    for name, end in tqdm(run_forked(tasks, copies), "who tests what", len(wanted), unit="file", disable=not wanted):
         if end.how != "done":
             unmeasured.append(name)
             continue
@@ -70,12 +72,13 @@ def measure_reach(copies: list[Copy], kept: Path, quiet: bool = False) -> Reach:
         partial = kept.with_suffix(".part")
         partial.write_text(json.dumps(entries))
         os.replace(partial, kept)
+    chosen = [entries[name] for name in asked if name in entries]
     tests = tuple(
         Passing(test, found["seconds"], {file: frozenset(lines) for file, lines in found["lines"].items()})
-        for entry in entries.values()
+        for entry in chosen
         for test, found in entry["tests"].items()
     )
-    failed = tuple(test for entry in entries.values() for test in entry["failed"])
+    failed = tuple(test for entry in chosen for test in entry["failed"])
     return Reach(tests, failed, tuple(unmeasured))
 
 

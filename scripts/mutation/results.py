@@ -34,10 +34,10 @@ class Result:
 class Results:
     """Results for the sources as they are; a survivor is tried again when any test changes, a kill if its test does."""
 
-    def __init__(self, path: Path, copy: Copy) -> None:
+    def __init__(self, path: Path, copy: Copy, asked: Sequence[str] = ()) -> None:
         self._path, self._folder = path, copy.folder
         self._package = copy.digest(*PACKAGE)
-        self._tests = copy.digest("tests")
+        self._tests = " ".join((copy.digest("tests"), *asked))
         self._entries: dict[str, dict[str, str]] = json.loads(path.read_text()) if path.exists() else {}
 
     def get(self, mutation: Mutation) -> Result | None:
