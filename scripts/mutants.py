@@ -165,6 +165,8 @@ def _try_all(
             how = end.how if end.how != "done" else "survived" if end.value is None else "killed"
             take(trial.mutation, Result(how, end.value or ""))
             kept.put(trial.mutation, results[trial.mutation])
+            if not results[trial.mutation].noticed:
+                tqdm.write(f"{how}: {trial.mutation}", file=sys.stderr)
             bar.update(len(results) - bar.n)
             bar.set_postfix(left=sum(not r.noticed for r in results.values()))
         bar.update(len(results) - bar.n)

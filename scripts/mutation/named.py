@@ -28,11 +28,20 @@ class Named:
         return replaced(self.file, source, start, start + len(old), self.new, "named")
 
 
+#: The two lines of Strang's splitting that say where the half steps stand, and what is between them.
+STRANG = '''return unknown_part(self.context, k_f.K, k_f.K, moments, alpha)
+
+    def composed(self, k_f: HalfStep, k_h: Unknown) -> SplitFit:
+        """K_f K_h K_f of the half step ``k_f`` and the kick ``k_h`` (paper, eq. koopman_strang_splitting)."""
+        k = k_f.K @ k_h.K @ k_f.K'''
+
 NAMED = (
     Named(
-        "pisplit/splitting/base.py",
-        "self.half.K, self.half.K, pairs",
-        "self.half.K @ self.half.K, np.eye(len(self.half.K)), pairs",
+        "pisplit/splitting/strang.py",
+        STRANG,
+        STRANG.replace("k_f.K, k_f.K,", "k_f.K @ k_f.K, __import__('numpy').eye(len(k_f.K)),").replace(
+            "k_f.K @ k_h.K @ k_f.K", "k_f.K @ k_f.K @ k_h.K"
+        ),
         "K_f K_h K_f is of order 2 in dt, K_f^2 K_h of order 1",
     ),
     Named(
@@ -73,8 +82,8 @@ NAMED = (
     ),
     Named(
         "pisplit/evaluation/horizon.py",
-        "gone = (at >= 0) & (at <= ahead)",
-        "gone = (at >= 0) & (at < ahead)",
+        "(piece.diverged_at[:, None] <= ahead)",
+        "(piece.diverged_at[:, None] < ahead)",
         "a roll-out that diverges at step h is lost at horizon h",
     ),
     Named(
@@ -90,25 +99,25 @@ NAMED = (
         "the ridge of a twin is (1 + alpha) mu: it stays in proportion to the data",
     ),
     Named(
-        "pisplit/generator/generator.py",
-        "alpha * float((a**2).sum()) / a.shape[1]",
-        "alpha * float((a**2).sum())",
+        "pisplit/regression/penalties.py",
+        "float((a**2).sum()) / a.shape[1]",
+        "float((a**2).sum())",
         "generator_alpha is relative to the mean diagonal of the Gram matrix",
     ),
     Named(
         "pisplit/generator/generator.py",
-        "ridge(a, y, alpha * float((a**2).sum()) / a.shape[1])",
-        "ridge(a, y, alpha)",
+        "unit = unit_weight(a, y, options.penalty) if alpha > 0.0 else 0.0",
+        "unit = 1.0",
         "generator_alpha has no unit: it is relative to the Gram matrix",
     ),
     Named(
-        "pisplit/estimators/excitation.py",
+        "pisplit/estimators/boundedness.py",
         "EXCURSION * np.max([state_range",
         "EXCURSION * np.min([state_range",
         "the limit of an excitation is that of the data set that reaches farthest",
     ),
     Named(
-        "models/rod/statics/statics.py",
+        "models/rod/statics/search.py",
         "TOLERANCE = 1e-8",
         "TOLERANCE = 1e-3",
         "an equilibrium that is called solved solves the equations",

@@ -18,6 +18,7 @@ from tqdm import tqdm
 from mutation.copies import Copy, file_digest
 from mutation.forks import Task, run_forked
 from mutation.rooms import PACKAGE
+from pisplit.files import write_text
 
 #: A test file that needs longer than this is not measured.
 WALL = 1200.0
@@ -69,9 +70,7 @@ def measure_reach(copies: list[Copy], kept: Path, only: Sequence[str] = ()) -> R
             unmeasured.append(name)
             continue
         entries[name] = end.value
-        partial = kept.with_suffix(".part")
-        partial.write_text(json.dumps(entries))
-        os.replace(partial, kept)
+        write_text(kept, json.dumps(entries))
     chosen = [entries[name] for name in asked if name in entries]
     tests = tuple(
         Passing(test, found["seconds"], {file: frozenset(lines) for file, lines in found["lines"].items()})

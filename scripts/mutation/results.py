@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +12,7 @@ from pathlib import Path
 from mutation.copies import Copy, file_digest
 from mutation.operators import Mutation
 from mutation.rooms import PACKAGE
+from pisplit.files import write_text
 
 #: What counts as noticed. A crash is one: the tests end with it.
 NOTICED = ("killed", "timeout", "crash")
@@ -50,9 +50,7 @@ class Results:
     def put(self, mutation: Mutation, result: Result) -> None:
         """Keep a result; the file is whole at any time."""
         self._entries[self._key(mutation)] = {**asdict(result), "tests": self._relevant(result.by)}
-        partial = self._path.with_suffix(".part")
-        partial.write_text(json.dumps(self._entries))
-        os.replace(partial, self._path)
+        write_text(self._path, json.dumps(self._entries))
 
     def _relevant(self, killer: str) -> str:
         return file_digest(self._folder / killer.split("::")[0].split(" ")[0]) if killer else self._tests
