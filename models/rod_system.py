@@ -41,13 +41,5 @@ def rod_system(scene: rod.Scene, actuation: type = TendonTerm) -> ControlSystem:
         state_names=names,
         input_names=scene.input_names,
         state_units=(*("1/m" if b else "" for b in bends), *("1/(m s)" if b else "1/s" for b in bends)),
-        input_units=tuple(unit for term in scene.terms for source in term.inputs for unit in _units(term, source)),
+        input_units=scene.input_units,
     )
-
-
-def _units(term: object, source: rod.Input) -> tuple[str, ...]:
-    """Units of the inputs of a term; what is no tendon does not say."""
-    unit = ""
-    if isinstance(term, TendonTerm) and source.name == term.name:
-        unit = "N" if isinstance(term, rod.Tendons) and isinstance(term.drive, rod.Tension) else "m"
-    return (unit,) * source.size

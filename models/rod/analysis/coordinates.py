@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array
 from pisplit.models.rod.analysis.fields import N_FIELDS, station_points
 from pisplit.models.rod.kinematics.strains import COMPONENTS
+from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.loads import Input
 
@@ -23,7 +24,7 @@ _ROTATION, _STRAIN_V, _STRAIN_W, _SPIN = slice(3, 12), slice(12, 15), slice(15, 
 
 
 @dataclass(frozen=True)
-class StrainCoordinates:
+class StrainCoordinates(Rebuilt):
     """Free strains and their rates [xi, xi_t] (2n,) of a bending and twisting rod from its fields at stations (24 S,).
 
     Strains are the least-squares polynomial through w at the stations. Rates follow from the world angular velocity
@@ -50,6 +51,7 @@ class StrainCoordinates:
     def strain_rows(self) -> Array:
         """Weights (K, S): values at the nodes from values at the stations."""
         rows: Array = np.asarray(np.linalg.pinv(self.scene.rule.interpolate(self.points)), dtype=np.float64)
+        rows.flags.writeable = False  # kept and handed out again
         return rows
 
     @cached_property

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
+from pisplit.models.rod.answers import finite_answer
+from pisplit.models.rod.sharing import lock_of
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.buoyancy import Buoyancy
 from pisplit.models.rod.terms.gravity import Gravity
@@ -61,11 +63,16 @@ class EnergyAccount:
 
 
 def energies(scene: Scene, x: ArrayLike) -> Energies:
-    """Stored energies of states ``x`` (N, n_states)."""
+    """Stored energies of states ``x`` (N, n_states) of a scene.
+
+    Raises ValueError for a base that moves, and for states so large that the energies overflow.
+    """
     states = finite_array(x, "x", (None, scene.n_states))
     n = scene.n_strains
-    parts = stored(scene).map(len(states))(states[:, :n].T, states[:, n : 2 * n].T) if len(states) else np.empty((3, 0))
-    kinetic, elastic, gravity = (np.asarray(part).ravel() for part in parts)
+    with lock_of(scene):
+        function = stored(scene)
+        parts = function.map(len(states))(states[:, :n].T, states[:, n : 2 * n].T) if len(states) else np.empty((3, 0))
+    kinetic, elastic, gravity = (finite_answer(np.asarray(part).ravel(), "energies") for part in parts)
     return Energies(kinetic, elastic, gravity)
 
 
@@ -76,7 +83,8 @@ def account(scene: Scene, t: Array, x: Array, work: Array) -> EnergyAccount:
     others = [i for i, term in enumerate(scene.terms) if term not in weights]
     lost = [i for i in others if _acts_on_rates(scene, scene.terms[i])]
     kept = [i for i in others if i not in lost]
-    return EnergyAccount(t, energies(scene, x), {names[i]: work[:, i] for i in kept}, -work[:, lost].sum(axis=1))
+    done = {names[i]: work[:, i].copy() for i in kept}
+    return EnergyAccount(t.copy(), energies(scene, x), done, -work[:, lost].sum(axis=1))
 
 
 def term_names(scene: Scene) -> tuple[str, ...]:

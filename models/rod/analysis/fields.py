@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array
+from pisplit.models.rod.answers import finite_answer
+from pisplit.models.rod.sharing import Rebuilt, in_turn
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -32,13 +34,17 @@ def station_points(stations: int | ArrayLike, length: float) -> tuple[float, ...
     return tuple(points.tolist())
 
 
-class Fields:
+class Fields(Rebuilt):
     """Map from states [xi, xi_t, u] to p, R, v, w (body), q, omega (body velocities) at stations.
 
     The fields of eq. cosserat_rod_eq; velocities obey its kinematic rows, p_t = R q and R_t = R omega^.
 
     Where shear and stretch are not free strains, v is recovered from the internal force, v = v* + K_se^-1 n; the force
     needs the accelerations, which the balance gives exactly.
+
+    Args:
+        scene: the rod and what acts on it.
+        points: arclengths of the stations in m.
     """
 
     def __init__(self, scene: Scene, points: tuple[float, ...]) -> None:
@@ -92,8 +98,12 @@ class Fields:
         y = self.symbolic(xi, xi_t, self.scene.acceleration(xi, xi_t, u), u)
         return ca.Function("fields", [x], [y], ["x"], ["y"])
 
+    @in_turn()
     def evaluate(self, x: ArrayLike) -> Array:
-        """Fields (..., S, 24) of states (..., n_states)."""
+        """Fields (..., S, 24) of states ``x`` (..., n_states).
+
+        Raises ValueError for states of another scene, or so large that the fields overflow.
+        """
         states = np.asarray(x, dtype=float)
         if states.ndim == 0 or states.shape[-1] != self.scene.n_states:
             raise ValueError(f"states have shape {states.shape}; expected (..., {self.scene.n_states}) for this scene")
@@ -103,4 +113,4 @@ class Fields:
         for start in range(0, len(flat), BLOCK):
             block = flat[start : start + BLOCK]
             values[start : start + len(block)] = np.asarray(native.map(len(block))(block.T)).T
-        return values.reshape(*states.shape[:-1], len(self.points), N_FIELDS)
+        return finite_answer(values, "fields").reshape(*states.shape[:-1], len(self.points), N_FIELDS)

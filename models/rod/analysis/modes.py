@@ -43,7 +43,7 @@ class NaturalModes:
 
 def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> NaturalModes:
     """The slowest ``number`` modes (all when not given) about an equilibrium [xi, 0, u]."""
-    x = finite_array(state, "state", (scene.n_states,))
+    x = finite_array(state, "state", (scene.n_states,)).copy()
     n = scene.n_strains
     values, vectors = np.linalg.eig(scene.linearise(x).A)
     kept = np.flatnonzero(values.imag >= 0.0)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, one_of, positive
 from pisplit.models.rod.analysis.energy import powers
-from pisplit.models.rod.dynamics.trajectory import Propagation
+from pisplit.models.rod.dynamics.propagation import Propagation
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -67,7 +67,6 @@ class Simulator(Propagation):
         if not 1e-12 <= self.rtol <= 0.1:
             raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
         self.inputs = one_of(inputs, "Simulator inputs", ("ramp", "step"))
-        self._integrators: dict[tuple[int, bool, bool], ca.Function] = {}
 
     def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
         """States [xi, xi_t] after each command.
@@ -108,7 +107,12 @@ class Simulator(Propagation):
         raise failure
 
     def sensitivity(self, x: ArrayLike, u: ArrayLike) -> NoReturn:
-        """Not from IDAS, whose forward sensitivities take minutes on a spatial rod: see ``Stepper.sensitivity``."""
+        """Raises NotImplementedError: forward sensitivities of IDAS take minutes on a spatial rod.
+
+        Args:
+            x: state (n_states,) before the step.
+            u: command (n_inputs,). ``Stepper.sensitivity`` takes both.
+        """
         raise NotImplementedError(
             "IDAS gives no derivatives of a step; use scene.stepper(dt, step=...).sensitivity(x, u), of fixed steps"
         )
@@ -119,6 +123,10 @@ class Simulator(Propagation):
     def _balance(self) -> ca.Function:
         """The residual with its simplified iteration matrix: see ``motion_residual``."""
         return self.equations.native(self.equations.motion_residual)
+
+    @cached_property
+    def _integrators(self) -> dict[tuple[int, bool, bool], ca.Function]:
+        return {}
 
     def _integrator(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
         key = (steps, correct_first, energy)

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
 from pisplit.checks import Array, finite_array, positive
+from pisplit.models.rod.answers import finite_answer
+from pisplit.models.rod.sharing import lock_of
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -45,7 +47,7 @@ class Linearisation:
         augmented = np.zeros((n + 2 * m, n + 2 * m))
         augmented[:n, :n], augmented[:n, n : n + m] = step * self.A, step * self.B
         augmented[n : n + m, n + m :] = np.eye(m)
-        whole = expm(augmented)
+        whole = finite_answer(expm(finite_answer(augmented, "entries of dt A")), "exponentials of dt A")
         ramp = whole[:n, n + m :]
         return DiscreteLinearisation(whole[:n, :n], whole[:n, n : n + m] - ramp, ramp, step)
 
@@ -71,12 +73,13 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     symbols = [xi, xi_t, xi_tt, u]
     jacobian = ca.Function("jacobian", symbols, [ca.jacobian(balance.residual, v) for v in symbols], {"cse": True})
     parts = x[:n], x[n : 2 * n], x[2 * n :]
-    acceleration = scene.acceleration(*parts)
+    with lock_of(scene):
+        acceleration = scene.acceleration(*parts)
     d_xi, d_rate, mass, d_u = (np.asarray(v) for v in jacobian(parts[0], parts[1], acceleration, parts[2]))
     # Residuals are torques in very different units for shear and bending: solve with rows scaled.
     scale = 1.0 / scene.nominal_residual[:, None]
-    response = np.linalg.solve(scale * mass, scale * np.hstack([d_xi, d_rate, d_u, -np.eye(n)]))
-    lower = -response
+    rows = finite_answer(scale * np.hstack([mass, d_xi, d_rate, d_u, -np.eye(n)]), "derivatives of the balance")
+    lower = -np.linalg.solve(rows[:, :n], rows[:, n:])
     top = np.hstack([np.zeros((n, n)), np.eye(n)])
     return Linearisation(
         A=np.vstack([top, lower[:, : 2 * n]]),

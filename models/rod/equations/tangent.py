@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
 from pisplit.checks import Array, finite_array
+from pisplit.models.rod.answers import finite_answer
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.points import PointWrench
 
@@ -80,10 +81,10 @@ class Tangent:
         """Derivatives at an equilibrium [xi, 0, u], by the implicit function theorem."""
         n, m = self.scene.n_strains, self.scene.n_inputs
         inputs = np.concatenate([state[2 * n :], np.zeros(6)])
-        values = [np.asarray(v) for v in self._function(state[:n], inputs)]
+        values = [finite_answer(np.asarray(v), "derivatives of the balance") for v in self._function(state[:n], inputs)]
         p, frame, r_xi, r_u, p_xi, p_u, frame_xi, frame_u = values
         try:
-            follow = -np.linalg.solve(r_xi, r_u)
+            follow: Array = np.asarray(-np.linalg.solve(r_xi, r_u), dtype=np.float64)
         except np.linalg.LinAlgError:
             raise ValueError(
                 "the equilibrium has no derivatives: the tangent stiffness is singular (it buckles); change its inputs"
@@ -102,7 +103,8 @@ def stability(scene: Scene, state: Array) -> Stability:
         bare = replace(balance, terms=())
         pair = [-ca.diag(weights) @ ca.jacobian(b.residual, xi) for b in (balance, bare)]
         scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": True})
-    tangent, elastic = (np.asarray(k) for k in scene.__dict__["_stiffness"](state[:n], state[2 * n :]))
+    found = scene.__dict__["_stiffness"](state[:n], state[2 * n :])
+    tangent, elastic = (finite_answer(np.asarray(k), "stiffnesses") for k in found)
     symmetric, skew = 0.5 * (tangent + tangent.T), 0.5 * (tangent - tangent.T)
     values, modes = eigh(symmetric, elastic, subset_by_index=[0, 0])
     mode = modes[:, 0] / modes[np.abs(modes[:, 0]).argmax(), 0]

@@ -12,6 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 
+def _kept(array: Array) -> Array:
+    """The array itself, which nobody can write to: it is kept and handed out again."""
+    array.flags.writeable = False
+    return array
+
+
 @dataclass(frozen=True)
 class GaussRule:
     """``K`` Gauss-Legendre nodes on ``[0, length]``.
@@ -29,7 +35,7 @@ class GaussRule:
     @cached_property
     def nodes(self) -> Array:
         """Arclengths of the nodes (K,) in metres."""
-        return 0.5 * self.length * (np.polynomial.legendre.leggauss(self.n_nodes)[0] + 1.0)
+        return _kept(0.5 * self.length * (np.polynomial.legendre.leggauss(self.n_nodes)[0] + 1.0))
 
     @property
     def borders(self) -> tuple[float, ...]:
@@ -44,12 +50,12 @@ class GaussRule:
     @cached_property
     def weights(self) -> Array:
         """Quadrature weights b (K,) in metres."""
-        return 0.5 * self.length * np.polynomial.legendre.leggauss(self.n_nodes)[1]
+        return _kept(0.5 * self.length * np.polynomial.legendre.leggauss(self.n_nodes)[1])
 
     @cached_property
     def integration(self) -> Array:
         """Matrix A (K, K): ``A @ g = int_0^{s_k} g ds`` at every node."""
-        return self.integrate_to(self.nodes)
+        return _kept(self.integrate_to(self.nodes))
 
     def interpolate(self, s: ArrayLike) -> Array:
         """Rows of Lagrange weights (S, K): values at arclengths ``s`` from values at the nodes."""
@@ -71,7 +77,7 @@ class GaussRule:
         x = 2.0 * self.nodes / self.length - 1.0
         units = np.eye(self.n_nodes)
         slopes = [np.polynomial.legendre.legval(x, np.polynomial.legendre.legder(unit)) for unit in units]
-        return 2.0 / self.length * np.stack(slopes, axis=1) @ self._to_legendre
+        return _kept(2.0 / self.length * np.stack(slopes, axis=1) @ self._to_legendre)
 
     def _legendre(self, s: ArrayLike) -> Array:
         x = 2.0 * np.atleast_1d(np.asarray(s, float)) / self.length - 1.0
@@ -113,7 +119,7 @@ class CompositeRule:
     @cached_property
     def nodes(self) -> Array:
         """Arclengths of the nodes (K,) in metres."""
-        return np.concatenate([start + e.nodes for start, e in zip(self.borders, self.elements, strict=False)])
+        return _kept(np.concatenate([start + e.nodes for start, e in zip(self.borders, self.elements, strict=False)]))
 
     @property
     def step_ends(self) -> tuple[float, ...]:
@@ -123,12 +129,12 @@ class CompositeRule:
     @cached_property
     def weights(self) -> Array:
         """Quadrature weights b (K,) in metres."""
-        return np.concatenate([element.weights for element in self.elements])
+        return _kept(np.concatenate([element.weights for element in self.elements]))
 
     @cached_property
     def integration(self) -> Array:
         """Matrix A (K, K): ``A @ g = int_0^{s_k} g ds`` at every node."""
-        return self.integrate_to(self.nodes)
+        return _kept(self.integrate_to(self.nodes))
 
     @cached_property
     def differentiation(self) -> Array:
@@ -136,7 +142,7 @@ class CompositeRule:
         matrix = np.zeros((self.n_nodes, self.n_nodes))
         for columns, element in zip(self._columns, self.elements, strict=True):
             matrix[columns, columns] = element.differentiation
-        return matrix
+        return _kept(matrix)
 
     def interpolate(self, s: ArrayLike) -> Array:
         """Rows of Lagrange weights (S, K); a border takes the values of the element before it."""

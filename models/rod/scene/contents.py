@@ -15,6 +15,7 @@ from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.chambers import Chambers
 from pisplit.models.rod.terms.loads import Input, NoEffect, Term
 from pisplit.models.rod.terms.pull import TendonTerm
+from pisplit.models.rod.terms.units import unit_of
 
 
 class Contents:
@@ -116,6 +117,15 @@ class Contents:
     def input_names(self) -> tuple[str, ...]:
         """Name of every input entry."""
         return tuple(f"{i.name}[{k}]" for i in self.inputs for k in range(i.size))
+
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """Unit of every input entry, empty where its term does not tell."""
+        units: dict[str, str] = {}
+        for term in self.terms:
+            for item in term.inputs:
+                units[item.name] = units.get(item.name) or unit_of(term, item)
+        return tuple(units[i.name] for i in self.inputs for _ in range(i.size))
 
     @cached_property
     def rule(self) -> Rule:

@@ -141,7 +141,7 @@ class Scene(Equations):
         Takes seconds once (more for many nodes); the libraries are kept in a user cache folder. Without a C compiler
         one warning is logged and the scene is evaluated as before.
         """
-        from pisplit.models.rod.dynamics.trajectory import equations_of_motion
+        from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
         from pisplit.models.rod.output.compiled import CompiledScene
 
         made = CompiledScene.of(self)

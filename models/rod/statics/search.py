@@ -11,6 +11,7 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.continuation import follow, relax
+from pisplit.models.rod.statics.memoryless import Memoryless
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -113,9 +114,18 @@ class Search(Rebuilt):
         return self._rootfinder("kinsol", True)
 
     @cached_property
-    def kinsol_of_rows(self) -> ca.Function:
-        """The same for a map: a row that fails neither ends it nor prints its inputs; the residual tells."""
-        return self._rootfinder("kinsol", True, raises=False)
+    def _cold_kinsol(self) -> Memoryless:
+        return Memoryless(lambda: self._rootfinder("kinsol", True))
+
+    def kinsol_of_rows(self, rows: int) -> ca.Function:
+        """``(x_guesses, u) -> x`` of many columns, built anew because KINSOL remembers (see ``Memoryless``).
+
+        A column that fails neither ends the call nor prints its inputs; its residual tells.
+
+        Args:
+            rows: their number.
+        """
+        return self._rootfinder("kinsol", True, raises=False).map(rows)
 
     @cached_property
     def newton(self) -> ca.Function:
@@ -138,10 +148,12 @@ class Search(Rebuilt):
 
         Returns the last iterate (n_strains,), its iterations and the solver's name.
         """
-        for name, solver in (("kinsol", self.kinsol), ("newton", self.newton)):
-            x = attempt(solver, x0, u)
-            if self.worst(x, u) <= TOLERANCE:
-                return x, _iterations(solver) if name == "newton" else None, name
+        x = attempt(self._cold_kinsol, x0, u)
+        if self.worst(x, u) <= TOLERANCE:
+            return x, None, "kinsol"
+        x = attempt(self.newton, x0, u)
+        if self.worst(x, u) <= TOLERANCE:
+            return x, _iterations(self.newton), "newton"
         total = 0
 
         def at_load(load: float, guess: Array) -> Array | None:
@@ -168,7 +180,7 @@ class Search(Rebuilt):
             return np.zeros_like(x)
 
 
-def attempt(solver: ca.Function, x0: Array, *parameters: Array | float) -> Array:
+def attempt(solver: ca.Function | Memoryless, x0: Array, *parameters: Array | float) -> Array:
     """One call of a rootfinder from ``x0`` (n,) with its ``parameters``; NaN (n,) where it fails."""
     try:
         return np.asarray(solver(x0, *parameters)).ravel()

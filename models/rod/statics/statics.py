@@ -106,7 +106,7 @@ class Statics(Rebuilt):
         guess = self._affine_guess(rows)
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
-            x = np.asarray(search.kinsol_of_rows.map(len(block))(guess(block).T, block.T)).T
+            x = np.asarray(search.kinsol_of_rows(len(block))(guess(block).T, block.T)).T
             found[start : start + len(block)] = x
             worst[start : start + len(block)] = search.worst_of_rows(x, block)
         for k in np.flatnonzero(worst > TOLERANCE):

@@ -1,0 +1,17 @@
+"""Answers that are right, or say so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pisplit.checks import Array
+
+
+def finite_answer(values: Array, what: str) -> Array:
+    """``values`` of any shape, which must be finite; ``what`` names them.
+
+    Raises ValueError where they overflow, instead of handing on NaN.
+    """
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"{what} overflow: strains or rates of the state are too large; give one that a rod can have")
+    return values

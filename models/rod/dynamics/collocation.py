@@ -1,0 +1,136 @@
+"""One internal step by Gauss collocation: the functions of a scene that it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.models.rod.analysis.energy import powers
+from pisplit.models.rod.kinematics.gauss import GaussRule
+from pisplit.models.rod.sharing import Rebuilt
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.scene import Scene
+
+#: Newton iterations with one matrix before their convergence is looked at.
+ITERATIONS = 3
+
+
+class Collocation(Rebuilt):
+    """Gauss collocation of the equations of a scene (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, 2006).
+
+    The unknowns of a step h are the accelerations z_i at s stages; strains and rates are their integrals:
+
+        v_i = xi_t + h sum_j a_ij z_j,   x_i = xi + h c_i xi_t + h^2 sum_j (A A)_ij z_j
+
+    and the end of the step has the weights b in place of the rows of A. Inputs move linearly over the step.
+
+    Args:
+        equations: the scene whose balance (paper, eq. cosserat_rod_eq) holds at the stages.
+        stages: number s of stages.
+    """
+
+    def __init__(self, equations: Scene, stages: int) -> None:
+        self.equations, self.stages = equations, stages
+        rule = GaussRule(1.0, stages)
+        self.c, self.b, self.a = rule.nodes, rule.weights, rule.integration
+
+    # Functions of the equations --------------------------------------------------------------------------------------
+
+    @cached_property
+    def newton(self) -> ca.Function:
+        """``(x, u0, u1, h, z) -> z, last two corrections, inverse matrix``: iterations with a new matrix."""
+        x, u0, u1, h, z = self._symbols
+        n, s = self.equations.n_strains, self.stages
+        residual = self.equations.native(self.equations.motion_residual)
+        at = self.at_stages(x, z, (u0, u1), h)
+        blocks = residual.jacobian().map(s)(*at, ca.DM(n, s))
+        matrix = self.iteration_matrix([ca.horzsplit(block, n) for block in blocks[:3]], h)
+        inverse = ca.solve(matrix, ca.DM.eye(s * n), "lapacklu")
+        sizes = [ca.MX(np.inf)]
+        for _ in range(ITERATIONS):
+            z, size = self._corrected(x, u0, u1, h, z, inverse)
+            sizes.append(size)
+        return ca.Function("newton", list(self._symbols), [z, *sizes[-2:], inverse])
+
+    @cached_property
+    def iteration(self) -> ca.Function:
+        """``(x, u0, u1, h, z, inverse) -> z, correction``."""
+        inverse = ca.MX.sym("inverse", *[self.stages * self.equations.n_strains] * 2)
+        symbols = [*self._symbols, inverse]
+        return ca.Function("iteration", symbols, list(self._corrected(*symbols)))
+
+    @cached_property
+    def _symbols(self) -> tuple[ca.MX, ...]:
+        n, m = self.equations.n_strains, self.equations.n_inputs
+        sizes = {"x": (2 * n, 1), "u0": (m, 1), "u1": (m, 1), "h": (1, 1), "z": (n, self.stages)}
+        return tuple(ca.MX.sym(name, *size) for name, size in sizes.items())
+
+    def _corrected(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX, inverse: ca.MX) -> tuple[ca.MX, ca.MX]:
+        residual = self.equations.native(self.equations.motion_residual).map(self.stages)
+        change = ca.reshape(inverse @ ca.vec(residual(*self.at_stages(x, z, (u0, u1), h))), *z.shape)
+        nominal = ca.DM(np.tile(self.equations.nominal_strains, (self.stages, 1)).T)
+        return z - change, h**2 * ca.norm_fro(change / nominal)  # norm_inf of CasADi passes over NaN
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """``(xi, xi_t, xi_tt, u) -> `` exact derivatives of the scaled residual with respect to each, at all stages."""
+        xi, xi_t, xi_tt, u, balance = self.equations.dynamic_balance
+        residual = balance.residual / ca.DM(self.equations.nominal_residual)
+        symbols = [xi, xi_t, xi_tt, u]
+        blocks = [ca.jacobian(residual, symbol) for symbol in symbols]
+        return ca.Function("derivatives", symbols, blocks, {"cse": True}).map(self.stages)
+
+    @cached_property
+    def powers(self) -> ca.Function:
+        """``(xi, xi_t, u) -> power`` of every term at all stages, (n_terms, s)."""
+        return powers(self.equations).map(self.stages)
+
+    # Arithmetic of a step --------------------------------------------------------------------------------------------
+
+    def at_stages(self, x: Any, z: Any, u: tuple[Any, Any], h: Any) -> tuple[Any, Any, Any, Any]:
+        """Strains, rates, accelerations (n, s) and inputs (m, s) at the stages; numpy or MX.
+
+        Args:
+            x: [xi, xi_t] (2n,) at the start of the step.
+            z: accelerations (n, s).
+            u: inputs (m,) at the start and at the end.
+            h: step in s.
+        """
+        n, c, one = self.equations.n_strains, self.c[None, :], np.ones((1, self.stages))
+        xi, xi_t = x[:n].reshape((n, 1)), x[n : 2 * n].reshape((n, 1))
+        start, end = (value.reshape((self.equations.n_inputs, 1)) for value in u)
+        shape = xi @ one + h * (xi_t @ c) + h * h * (z @ (self.a @ self.a).T)
+        return shape, xi_t @ one + h * (z @ self.a.T), z, start @ (1.0 - c) + end @ c
+
+    def end(self, x: Array, z: Array, h: float) -> Array:
+        """[xi, xi_t] (2n,) after a step ``h`` in s from ``x`` (2n,) with accelerations ``z`` (n, s)."""
+        n = self.equations.n_strains
+        xi, xi_t = x[:n], x[n : 2 * n]
+        return np.concatenate([xi + h * xi_t + h * h * z @ (self.b @ self.a), xi_t + h * z @ self.b])
+
+    def iteration_matrix(self, blocks: Sequence[Sequence[Any]], h: Any) -> Any:
+        """Derivative (s n, s n) of the stage residuals with respect to the stage accelerations; numpy or MX.
+
+        Args:
+            blocks: derivatives with respect to strains, rates and accelerations, each a list over the stages of (n, n).
+            h: step in s.
+        """
+        a, stages = self.a, range(self.stages)
+        twice = a @ a
+        of_shape, of_rate, mass = blocks
+        rows = [[h * h * twice[i, j] * of_shape[i] + h * a[i, j] * of_rate[i] for j in stages] for i in stages]
+        for i in stages:
+            rows[i][i] = rows[i][i] + mass[i]
+        return np.block(rows) if isinstance(mass[0], np.ndarray) else ca.blockcat(rows)
+
+    @cached_property
+    def onwards(self) -> Array:
+        """Weights (s, s) that extrapolate a polynomial at the stages of one step to those of the next."""
+        here, there = np.vander(self.c, self.stages), np.vander(1.0 + self.c, self.stages)
+        return np.asarray(np.linalg.solve(here.T, there.T), dtype=np.float64)
