@@ -59,6 +59,15 @@ def test_the_limit_is_three_times_the_data_of_a_quantity_and_a_start_is_where_th
     assert_array_equal(Excitation.of(np.zeros((1, 4, 1)), [pairs], ("a", "a")).limit, 5.0 * EXCURSION)
 
 
+def test_the_limit_of_several_data_sets_is_that_of_the_one_which_reaches_farthest_in_each_quantity():
+    near = Episodes([np.array([[0.0, 1.0], [5.0, -2.0]])], [np.array([[0.1]])], 0.1).pairs()
+    far = Episodes([np.array([[1.0, 10.0], [0.5, 2.0], [0.0, 0.0]])], [np.array([[0.3], [0.2]])], 0.1).pairs()
+    for data in ([near, far], [far, near]):
+        found = Excitation.of(np.full((1, 4, 1), 0.1), data, ("a", "b"))
+        assert_array_equal(found.limit, EXCURSION * np.array([5.0, 10.0]))
+        assert_array_equal(found.x_history[0, 0], [0.5, 2.0])  # roll-outs begin in the larger set
+
+
 def test_the_first_alpha_in_order_of_preference_that_stays_bounded_is_taken():
     errors = np.array([4.0, 1.0, 1.04, 3.0])
     assert choose(ALPHAS, errors, 0.0, ()).chosen == 1e-2

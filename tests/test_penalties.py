@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.models import systems
-from pisplit.regression import RecursiveRegression, absolute_weight
+from pisplit.regression import RecursiveRegression, absolute_weight, penalised, unit_weight
 
 DT = 0.05
 OPTIONS = {"equilibrium": np.array([[1.0], [0.0]])}
@@ -100,3 +100,46 @@ def test_penalties_that_do_not_exist_are_refused_in_one_line(options: dict[str, 
         with pytest.raises(ValueError, match=message) as error:
             make(theta(), **{"alpha": 0.1, "penalty": "lasso", **options})
         assert "\n" not in str(error.value)
+
+
+def test_one_regressor_has_a_closed_form_whose_sign_is_that_of_the_data() -> None:
+    a, y = np.array([[1.0], [2.0], [-1.0]]), np.array([[-2.0, 0.2], [-4.5, 0.1], [1.0, 0.3]])
+    size, cross = float((a**2).sum()), (a.T @ y)[0]
+    np.testing.assert_allclose(penalised(a, y, 0.0, "lasso").K[:, 0], cross / size)
+    np.testing.assert_allclose(penalised(a, y, 3.0, "ridge").K[:, 0], cross / (size + 3.0))
+    thresholded = np.sign(cross) * np.maximum(np.abs(cross) - 1.5, 0.0) / size
+    for solver in ("active-set", "cvxpy"):
+        np.testing.assert_allclose(penalised(a, y, 3.0, "lasso", solver).K[:, 0], thresholded, atol=1e-9)
+    assert unit_weight(a, y, "lasso") == pytest.approx(2.0 * np.abs(cross).max())
+    assert unit_weight(np.hstack([a, 3.0 * a]), y, "ridge") == pytest.approx(5.0 * size)  # mean of both columns
+
+
+def test_a_relative_ridge_is_in_parts_of_the_mean_variance_of_the_columns() -> None:
+    d1 = recorded()
+    psi = theta().evaluate(d1.pairs())[:, 1:]
+    for scale in (None, "column"):
+        centred = psi - psi.mean(axis=0)
+        unit = 1.0 if scale is None else centred.std(axis=0)
+        mean = float(((centred / unit) ** 2).sum(axis=0).mean())
+        assert LinearEDMDc(theta(), 0.3, scale=scale).fit(d1).fit_.alpha == pytest.approx(0.3 * mean)
+
+
+def test_the_choice_of_alpha_does_not_depend_on_the_units_of_states() -> None:
+    """Errors of states in other units count as much: the search over metres and radians is that over millimetres."""
+    d1, rng = recorded(), np.random.default_rng(4)
+    noisy = Episodes([x + 0.02 * rng.normal(size=x.shape) for x in d1.xs], d1.us, DT)
+    other = Episodes([x * [1.0, 1e3] for x in noisy.xs], d1.us, DT)
+    plain = Dictionary(ob.Constant(), ob.Identity(), n_states=2, n_inputs=1)
+    found = [LinearEDMDc(plain, "cv").fit(data).cv_ for data in (noisy, other)]
+    assert found[0] is not None and found[1] is not None
+    np.testing.assert_allclose(found[1].errors, found[0].errors, rtol=1e-6)
+    assert found[1].chosen == found[0].chosen
+
+
+def test_a_twin_that_is_the_recording_itself_changes_nothing_whatever_its_weight() -> None:
+    """1/N |K Theta - psi'|^2 (1 + alpha) + (1 + alpha) mu |K|^2 has one minimiser for all alpha."""
+    d1 = recorded()
+    found = [TwinEDMDc(theta(), alpha, 0.1).fit(d1, d1).K_ for alpha in (0.0, 1.0, 100.0)]
+    np.testing.assert_allclose(found[1], found[0], atol=1e-10)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-10)
+    assert np.abs(found[0] - TwinEDMDc(theta(), 1.0, 0.2).fit(d1, d1).K_).max() > 1e-3  # the ridge is felt
