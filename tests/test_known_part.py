@@ -112,3 +112,16 @@ def test_a_past_that_equals_the_present_shares_what_the_present_does() -> None:
     half = half_step(theta, samples(), 0.1, np.ones(6), "generator", options=KnownOptions(past="equal"))
     at_rest = np.tile(np.array([1.0, -0.5]), 3)
     np.testing.assert_array_equal((half.K @ at_rest)[2:], at_rest[2:])
+
+
+def test_moments_that_are_remembered_are_those_of_these_samples_and_this_dictionary() -> None:
+    first, second = samples(), samples(noise=0.5)
+    wide = Dictionary(ob.States(), ob.Polynomials(2), n_states=2, n_inputs=1)
+    alone = {
+        (theta, d2): generator_edmd(theta, d2, np.ones(theta.n_columns))
+        for theta in (PLAIN, wide)
+        for d2 in (first, second)
+    }
+    for (theta, d2), expected in alone.items():
+        np.testing.assert_array_equal(generator_edmd(theta, d2, np.ones(theta.n_columns)), expected)
+    assert np.abs(alone[PLAIN, first] - alone[PLAIN, second]).max() > 1e-2

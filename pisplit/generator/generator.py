@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,15 @@ from pisplit.checks import finite_number, non_negative, one_of
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.regression import absolute_weight, check_penalty, penalised, unit_weight
-from pisplit.regression.moments import Moments, accumulate
+from pisplit.regression.moments import Moments, accumulate, block_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 PASTS = ("absent", "equal")
+#: Moments that are remembered for one set of phase samples.
+REMEMBERED = 4
+_MOMENTS: WeakKeyDictionary[PhaseSamples, dict[tuple[str, str, str], Moments]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,9 @@ def static_rows(theta: Dictionary, samples: PhaseSamples, options: KnownOptions)
 
 def generator_moments(theta: Dictionary, samples: PhaseSamples, scale: Array, options: KnownOptions) -> Moments:
     """Moments of [static columns | J_x Theta . f of the present columns] of ``samples``, divided by ``scale`` (M,)."""
-    return static_moments(theta, samples, scale, options, lambda part: theta.present_derivative(part.x, part.xdot))
+    return static_moments(
+        theta, samples, scale, options, "generator", lambda part: theta.present_derivative(part.x, part.xdot)
+    )
 
 
 def regressed_generator(
@@ -121,12 +127,27 @@ def static_moments(
     samples: PhaseSamples,
     scale: Array,
     options: KnownOptions,
+    name: str,
     target: Callable[[PhaseSamples], Array],
 ) -> Moments:
-    """Moments of [static columns | ``target`` of a block of samples (N, n_present)], divided by ``scale`` (M,)."""
-    blocks = ((part.weights, np.hstack([static_rows(theta, part, options), target(part)])) for part in samples.blocks())
+    """Moments of [static columns | ``target`` of a block of samples (N, n_present)], divided by ``scale`` (M,).
+
+    ``theta`` and ``options`` say which columns; ``name`` tells one target from another. Moments are remembered as long
+    as the ``samples``, which never change, are held: fits to many sets of pairs pass over the samples once.
+    """
+    remembered = _MOMENTS.setdefault(samples, {})
+    key = (theta.fingerprint(), options.past, name)
+    if key not in remembered:
+        blocks = (
+            (part.weights, np.hstack([static_rows(theta, part, options), target(part)]))
+            for part in samples.blocks(block_rows(theta.n_columns))
+        )
+        found = weighted_moments(blocks)
+        while len(remembered) >= REMEMBERED:
+            remembered.pop(next(iter(remembered)))
+        remembered[key] = found
     units = np.concatenate([scale[static_columns(theta, options)], scale[: theta.n_present]])
-    return weighted_moments(blocks).scaled(units)
+    return remembered[key].scaled(units)
 
 
 def regressed_rows(theta: Dictionary, moments: Moments, alpha: float, diagonal: Array, options: KnownOptions) -> Array:

@@ -263,7 +263,7 @@ def _flow_moments(theta: Dictionary, samples: PhaseSamples, dt: float, scale: Ar
         assert part.x_half is not None
         return theta.present(part.x_half)
 
-    return static_moments(theta, samples, scale, options, after)
+    return static_moments(theta, samples, scale, options, "flow", after)
 
 
 def _same_step(samples: PhaseSamples, dt: float) -> bool:

@@ -47,7 +47,7 @@ NOISE_PAIRS = 128
 #: Draws of the row whose every fit simulates its pairs some hundred times.
 SLOW_DRAWS = 2
 #: Splits that need the table of equilibria over differential pulls.
-TABLED = (*INFORMED, "PI Strang", "PI balanced", "PI hold")
+TABLED = (*INFORMED, "PI Strang, rod + x_eq", "PI balanced", "PI hold")
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ COLOURS = {
     OURS: "tab:red",
     "L-EDMDc, rod + x_eq": "lightsteelblue",
     "B-EDMDc, rod + x_eq": "navajowhite",
-    "PI Strang": "black",
+    "PI Strang, rod + x_eq": "black",
     "PI balanced": "tab:gray",
 }
 MARKERS = {"bounded": "v", "one recording": "^", "no pairs": "*", "tendons from pairs": "D"}

@@ -24,7 +24,7 @@ TABLE_WIDTH = 2.2
 #: Ridges to choose from. With few pairs bilinear models need more than the estimators' own grid has.
 RIDGES = tuple(np.logspace(-10, 3, 14).tolist())
 #: Methods that need the table of equilibria over differential pulls.
-TABLED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq", "PI Strang", "PI balanced", "PI hold")
+TABLED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq", "PI Strang, rod + x_eq", "PI balanced", "PI hold")
 
 
 def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str, Method]:
@@ -37,7 +37,7 @@ def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str,
         "B-EDMDc, bounded": Tuned(BilinearEDMDc, bilinear_dictionaries, bounded=True),
         "L-EDMDc, rod + x_eq": RodCoordinates(LinearEDMDc, seed),
         "B-EDMDc, rod + x_eq": RodCoordinates(BilinearEDMDc, seed),
-        "PI Strang": Splitting("strang", seed),
+        "PI Strang, rod + x_eq": Splitting("strang", seed),
         "PI balanced": Splitting("balanced", seed),
         "PI hold": Splitting("hold", seed),
         "PI twin": twin,

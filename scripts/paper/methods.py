@@ -115,7 +115,8 @@ class Printed:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # gaps and conditions are in the details of every fit
             if self.name == "PI-EDMDc":
-                model.fit(data, units.samples(draw.d2), pairs)
+                samples = self.memory.of("samples", draw.d2, lambda: units.samples(draw.d2))
+                model.fit(data, samples, pairs)
             else:
                 model.fit(data, pairs)
         if not np.isfinite(model.K_).all():
