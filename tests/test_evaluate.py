@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
+from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc, StreamingEDMDc, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.evaluation.comparison import compare, learning_curve
 from pisplit.evaluation.horizon import horizon_errors
+from pisplit.evaluation.rollouts import rollout_errors
 from pisplit.models import systems
 
 Array = NDArray[np.float64]
@@ -30,6 +31,10 @@ def episodes(count: int = 6, steps: int = 40, seed: int = 0, growth: float = 1.0
         xs.append(x)
         us.append(u)
     return Episodes(xs, us, 0.1, state_names=("p", "q"), units=("m", "m/s"))
+
+
+def plain_scalar() -> LinearEDMDc:
+    return LinearEDMDc(Dictionary(ob.Identity(), n_states=1, n_inputs=1))
 
 
 def plain(alpha: float = 0.0) -> LinearEDMDc:
@@ -101,6 +106,41 @@ def test_learning_curves_give_phase_samples_to_those_who_want_them() -> None:
     assert np.isfinite(curve.errors["split"]).all() and not curve.refusals
     refused = learning_curve({"split": split}, d1, d1, [16], seeds=[0])
     assert np.isinf(refused.errors["split"]).all() and "give d2" in refused.refusals[0][3]
+
+
+def test_every_estimator_has_a_learning_curve() -> None:
+    data, test = episodes(), episodes(seed=9)
+    theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
+    kinds = {"twin": TwinEDMDc(theta, alpha=1e-6, twin_alpha=1e-12), "streaming": StreamingEDMDc(theta)}
+    curve = learning_curve(kinds, data, test, [20], seeds=[0], twin=episodes(seed=4))
+    assert not curve.refusals and max(errors.max() for errors in curve.errors.values()) < 1e-12
+    refused = learning_curve(kinds, data, test, [20], seeds=[0, 1])
+    assert "twin: 2 of 2 fits refused: TwinEDMDc learns from episodes of a twin too; give twin" in str(refused)
+    assert np.isfinite(refused.errors["streaming"]).all()
+
+
+def test_divergence_counts_from_the_step_at_which_it_happens() -> None:
+    """x doubles from 1 and leaves 1000 times the range of 1 at step 10: 2^9 = 512 is within, 2^10 = 1024 is not."""
+    data = Episodes([2.0 ** np.arange(15)[:, None]], [np.zeros((14, 1))], 0.1)
+    model = replace(plain_scalar().fit(data).lifted, state_range=np.ones(1))
+    found = horizon_errors(model, data, [1, 9, 10, 11], stride=100)
+    np.testing.assert_array_equal(found.diverged, [0.0, 0.0, 1.0, 1.0])
+    np.testing.assert_array_equal(np.isfinite(found.rms[:, 0]), [True, True, False, False])
+    scored = model.predict(data.xs[0][0], None, data.us[0])
+    assert scored.diverged_at == 10 and scored.x[9, 0] == pytest.approx(512.0) == pytest.approx(scored.x[14, 0])
+    squared = rollout_errors(model, data).squared[0]  # of the steps 1 to 14
+    np.testing.assert_array_equal(np.isfinite(squared), np.arange(1, 15) < 10)
+
+
+def test_a_roll_out_may_diverge_at_its_start_or_at_its_end() -> None:
+    data = Episodes([2.0 ** np.arange(11)[:, None]], [np.zeros((10, 1))], 0.1)
+    model = replace(plain_scalar().fit(data).lifted, state_range=np.ones(1))
+    at_the_end = rollout_errors(model, data)
+    assert at_the_end.diverged.all() and np.isfinite(at_the_end.squared[0]).sum() == 9
+    at_the_start = rollout_errors(replace(model, state_range=np.full(1, 1e-4)), data)
+    assert at_the_start.diverged.all() and np.isinf(at_the_start.squared[0]).all()
+    found = horizon_errors(replace(model, state_range=np.full(1, 1e-4)), data, [1])
+    assert found.diverged[0] == 1.0
 
 
 def test_bad_questions_are_refused_in_one_line() -> None:

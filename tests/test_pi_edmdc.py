@@ -209,9 +209,24 @@ def test_a_missing_d2_is_refused() -> None:
 def test_phase_samples_of_another_system_are_refused_by_name() -> None:
     x, u = slow_manifold_run(20, 0)
     d1, d2 = Episodes([x], [u], dt=STEP), phase_samples()
-    for names in ({"state_names": ("x2", "x1")}, {"input_names": ("torque",)}):
-        with pytest.raises(ValueError, match="give both the same names in the same order"):
-            PIEDMDc(closed_dictionary()).fit(d1, replace(d2, **names))
+    named = replace(d1, state_names=("slow", "fast"), input_names=("force",))
+    for names in ({"state_names": ("slow", "speed")}, {"input_names": ("torque",)}):
+        with pytest.raises(ValueError, match=r"d2 has no .* of d1, but"):
+            PIEDMDc(closed_dictionary()).fit(named, replace(d2, **names))
+    for size in (1, 3):
+        other = np.zeros((20, size))
+        with pytest.raises(ValueError, match=f"d2 has {size} states"):
+            PIEDMDc(closed_dictionary()).fit(d1, PhaseSamples(x=other, u=np.zeros((20, 1)), xdot=other))
+
+
+def test_phase_samples_in_another_order_are_the_same_samples() -> None:
+    x, u = slow_manifold_run(20, 0)
+    d1, d2 = Episodes([x], [u], dt=STEP, state_names=("slow", "fast")), phase_samples()
+    turned = replace(d2, x=d2.x[:, ::-1], xdot=d2.xdot[:, ::-1], state_names=("fast", "slow"))
+    one, other = (
+        PIEDMDc(closed_dictionary()).fit(d1, samples) for samples in (replace(d2, state_names=("slow", "fast")), turned)
+    )
+    np.testing.assert_allclose(one.K_, other.K_, atol=1e-12)
 
 
 @pytest.mark.parametrize("penalty", ["ridge", "lasso"])

@@ -144,6 +144,31 @@ def test_a_streaming_model_equals_the_batch_model() -> None:
     assert stream.lifted.provenance["pairs"] == 4 * 59
 
 
+def test_a_streaming_estimator_is_an_estimator() -> None:
+    data = rotating(0.3, 1)
+    stream, batch = StreamingEDMDc(THETA, alpha=1e-9), LinearEDMDc(THETA, alpha=1e-9).fit(data)
+    with pytest.raises(ValueError, match="no data"):
+        stream.score(data)
+    assert stream.fit(data) is stream and stream.fit(data).lifted.provenance["pairs"] == 59  # fit begins anew
+    assert stream.score(data).median == pytest.approx(batch.score(data).median, abs=1e-12)
+    start = data.start(0, THETA.n_delays)
+    history = (start.x_history, start.u_history) if THETA.n_delays else data.xs[0][0]
+    np.testing.assert_allclose(stream.predict(history, start.inputs), batch.predict(history, start.inputs), atol=1e-7)
+    assert stream.get_params() == {"theta": THETA, "forgetting": 1.0, "alpha": 1e-9}
+    assert stream.set_params(forgetting=0.5).fit(data).lifted.provenance["forgetting"] == 0.5
+    drawn = data.pairs(THETA.n_delays).sample(20, seed=0)
+    assert stream.fit(data, pairs=drawn).lifted.provenance["pairs"] == 20
+    for wrong, message in (
+        ({"alpha": -1.0}, "alpha"),
+        ({"forgetting": 2.0}, "forgetting"),
+        ({"penalty": 1}, "no option"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            stream.set_params(**wrong)
+    with pytest.raises(ValueError, match="expected Episodes"):
+        stream.update(data.xs[0])  # type: ignore[arg-type]
+
+
 def test_a_forgetting_model_follows_a_robot_that_changes() -> None:
     plain = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
     stream = StreamingEDMDc(plain, forgetting=0.8, alpha=1e-10)

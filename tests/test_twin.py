@@ -99,7 +99,7 @@ def test_a_read_out_is_learned_from_the_twin_too():
     [
         (PhaseSamples(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 2))), "expected Episodes"),
         (episodes(A, B, dt=0.2), "dt of d1"),
-        (Episodes([np.zeros((4, 3))], [np.zeros((3, 1))], 0.1), "names its states"),
+        (Episodes([np.zeros((4, 3))], [np.zeros((3, 1))], 0.1), "has 3 states, d1"),
     ],
 )
 def test_twins_that_do_not_fit_are_refused_in_one_line(twin, text):

@@ -16,6 +16,7 @@ from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search, hold_out
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
+from pisplit.estimators.instruments import instrumented_moments
 from pisplit.estimators.parameters import Parameters
 from pisplit.estimators.problem import HeldOut, Problem
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
@@ -53,6 +54,7 @@ class Estimator(Parameters):
     cv_states: str | Sequence[int] | Sequence[str] | None
     cv_tolerance: float
     max_radius: float | None
+    instruments: int = 0
 
     lifted: LiftedModel
     theta_: Dictionary
@@ -99,11 +101,13 @@ class Estimator(Parameters):
         """The data of a fit, checked; ``more`` are phase samples or pairs of a twin that a read-out may learn from."""
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
+        if pairs is None:
+            d1 = d1.arranged(*self.theta.wanted_names, owner="the dictionary")
         theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else d1.checked_pairs(pairs, theta.n_delays)
         rest = None if equilibria is None else _resting(equilibria, theta)
         held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
-        moments = pair_moments(theta, chosen, rest)
+        moments = self._moments(theta, chosen, rest)
         unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
         base = lifted_model(theta, unlearned, d1, chosen, {}, more)
         return Problem(
@@ -119,11 +123,16 @@ class Estimator(Parameters):
             else HeldOut(
                 episodes=held[1],
                 numbers=held[2],
-                moments=moments if held[0] is chosen else pair_moments(theta, held[0], rest),
+                moments=moments if held[0] is chosen else self._moments(theta, held[0], rest),
                 base=base if held[0] is chosen else lifted_model(theta, unlearned, d1, held[0], {}, more),
             ),
             excitation=_exciting(excitation, theta, chosen, held, more if isinstance(more, Pairs) else None),
         )
+
+    def _moments(self, theta: Dictionary, pairs: Pairs, rest: tuple[Array, Array] | None) -> Moments:
+        if self.instruments:
+            return instrumented_moments(theta, pairs, self.instruments, rest)
+        return pair_moments(theta, pairs, rest)
 
     def _choose(self, problem: Problem, fit: Fit, default: Sequence[float]) -> Choice:
         """``fit`` with the alpha that was given, or that of the grid (``default`` where none was) that is best."""

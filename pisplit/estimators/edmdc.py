@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
+from pisplit.checks import count
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import GRIDS, Equilibria, Estimator, check_options
@@ -35,6 +36,9 @@ class DirectEDMDc(Estimator):
     max_radius  bound on the spectral radius of A (the constant apart), that of the undriven model if it is bilinear:
                modes outside move onto the circle, others and delays stay
                (:func:`pisplit.estimators.boundedness.limited_rows`)
+    instruments  number of earlier samples that serve as instrumental variables: noise on the states then no longer
+               pulls eigenvalues toward zero; 0 is ordinary least squares, 3 a good number where states are noisy
+               (:func:`pisplit.estimators.instruments.instrumented_moments` says when it helps)
     """
 
     def __init__(
@@ -49,9 +53,11 @@ class DirectEDMDc(Estimator):
         cv_tolerance: float = 0.0,
         max_radius: float | None = None,
         solver: str = "auto",
+        instruments: int = 0,
     ) -> None:
         check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states)
         check_penalty(penalty, solver, relative)
+        count(instruments, "instruments", minimum=0)
         self.theta = theta
         self.alpha = alpha
         self.penalty = penalty
@@ -62,6 +68,7 @@ class DirectEDMDc(Estimator):
         self.cv_tolerance = cv_tolerance
         self.max_radius = max_radius
         self.solver = solver
+        self.instruments = instruments
 
     def fit(
         self: _D,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import non_negative, one_of
+from pisplit.data.columns import column_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
@@ -141,7 +144,8 @@ class PIEDMDc(Estimator):
         the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
         three times the magnitude of its quantity in the data (:class:`pisplit.estimators.boundedness.Excitation`).
         """
-        problem = self._problem(d1, pairs, equilibria, excitation, _checked(d2))
+        d2 = _matched(d2, d1, self.theta)
+        problem = self._problem(d1, pairs, equilibria, excitation, d2)
         split = self._splitting(problem, d2)
         k_f = split.known()  # alg:pi-edmdc, lines 1, 2: L_f = J(X2, U2) Theta(X2, U2)^+, K_f = exp(dt/2 L_f)
 
@@ -158,7 +162,6 @@ class PIEDMDc(Estimator):
 
     def _splitting(self, problem: Problem, d2: PhaseSamples) -> Splitting[Any]:
         """The splitting that was asked for, with the options of this estimator."""
-        _check_names(problem.theta, d2)
         context = SplitContext(
             theta=problem.theta,
             scale=problem.scale,
@@ -232,21 +235,31 @@ class PIEDMDc(Estimator):
             raise ValueError("past='equal' without delays in the dictionary; leave it out, or add ob.Delays")
 
 
-def _checked(d2: PhaseSamples) -> PhaseSamples:
+def _matched(d2: PhaseSamples, d1: Episodes, theta: Dictionary) -> PhaseSamples:
+    """The phase samples with their columns in the order of the trajectories, found by name.
+
+    Raises ValueError, in one line, for other sizes or names.
+    """
     if not isinstance(d2, PhaseSamples):
         raise ValueError(f"d2 is a {type(d2).__name__}; expected PhaseSamples of the known vector field")
-    return d2
-
-
-def _check_names(theta: Dictionary, samples: PhaseSamples | None) -> None:
-    """Raise ValueError if the phase samples name other states or inputs than the trajectories."""
-    if samples is None:
-        return
-    for given, wanted, what in (
-        (samples.state_names, theta.names.states, "states"),
-        (samples.input_names, theta.names.inputs, "inputs"),
-    ):
-        if given is not None and tuple(given) != wanted:
-            raise ValueError(
-                f"d2 names its {what} {tuple(given)[:4]}, d1 {wanted[:4]}; give both the same names in the same order"
-            )
+    if not isinstance(d1, Episodes):
+        return d2
+    if (d2.n_states, d2.n_inputs) != (d1.n_states, d1.n_inputs):
+        raise ValueError(
+            f"d2 has {d2.n_states} states and {d2.n_inputs} inputs, d1 {d1.n_states} and {d1.n_inputs}; "
+            "give samples of the same system"
+        )
+    named = theta.wanted_names
+    states = column_order(d2.state_names, named[0] or d1.state_names, "states", "d2", "d1")
+    inputs = column_order(d2.input_names, named[1] or d1.input_names, "inputs", "d2", "d1")
+    if (np.diff(states) > 0).all() and (np.diff(inputs) > 0).all():
+        return d2
+    return replace(
+        d2,
+        x=d2.x[:, states],
+        u=d2.u[:, inputs],
+        xdot=d2.xdot[:, states],
+        x_half=None if d2.x_half is None else d2.x_half[:, states],
+        state_names=None if d2.state_names is None else [d2.state_names[i] for i in states],
+        input_names=None if d2.input_names is None else [d2.input_names[i] for i in inputs],
+    )

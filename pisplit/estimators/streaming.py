@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from pisplit.checks import non_negative
-from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.episodes import Episodes
+from pisplit.data.pairs import Pairs
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.parameters import Parameters
+from pisplit.estimators.base import Estimator
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import lifted_model
 from pisplit.regression import ridge
@@ -18,7 +17,7 @@ from pisplit.regression.recursive import RecursiveRegression
 from pisplit.regression.scaling import column_scales
 
 
-class StreamingEDMDc(Parameters):
+class StreamingEDMDc(Estimator):
     """L-EDMDc whose data arrive in pieces: memory is one triangle, and the answer that of all pairs so far at once.
 
     theta       dictionary
@@ -29,51 +28,61 @@ class StreamingEDMDc(Parameters):
     With forgetting = 1 and alpha = 0 it equals LinearEDMDc on all pairs.
     """
 
+    _latest: tuple[Dictionary, Episodes, Pairs] | None
+
     def __init__(self, theta: Dictionary, forgetting: float = 1.0, alpha: float = 0.0) -> None:
+        if not isinstance(theta, Dictionary):
+            raise ValueError(f"theta is a {type(theta).__name__}; expected a Dictionary")
         non_negative(alpha, "alpha")
         self.theta = theta
         self.forgetting = forgetting
-        self.alpha = alpha
-        self._restart()
+        self.alpha: float = alpha
+        self._forget()
 
-    def set_params(self, **params: Any) -> StreamingEDMDc:
-        """Change options ``params``; with another dictionary or forgetting the data so far are forgotten."""
-        super().set_params(**params)
-        if {"theta", "forgetting"} & set(params):
-            self._restart()
-        return self
-
-    def _restart(self) -> None:
-        self.regression = RecursiveRegression(self.theta.n_columns, len(self.theta.learned_columns), self.forgetting)
-        self._latest: tuple[Dictionary, Episodes, Pairs] | None = None
-
-    def update(self, episodes: Episodes) -> StreamingEDMDc:
-        """Add all pairs of new episodes, oldest first. Returns itself.
+    def update(self, episodes: Episodes, pairs: Pairs | None = None) -> StreamingEDMDc:
+        """Add all pairs of new ``episodes``, or ``pairs`` drawn from them, oldest first. Returns itself.
 
         Columns are matched by name with those of the first episodes. Raises ValueError if these cannot be found, or
         have another unit or time step.
         """
+        if not isinstance(episodes, Episodes):
+            raise ValueError(f"episodes is a {type(episodes).__name__}; expected Episodes")
         if self._latest is None:
-            episodes = episodes.arranged(*self.theta.wanted_names, owner="the dictionary")
-            theta = self.theta.named_after(episodes)
+            names = self.theta.wanted_names
+            arranged = episodes.arranged(*names, owner="the dictionary")
+            theta = self._dictionary(arranged)
         else:
             theta, before, _ = self._latest
             if abs(episodes.dt - before.dt) > 1e-9 * before.dt:
                 raise ValueError(f"new episodes have dt = {episodes.dt:g} s; those before {before.dt:g} s")
             wanted = (before.state_names, before.input_names, before.units, before.input_units)
-            episodes = episodes.arranged(*wanted, owner="the episodes before")
-        pairs = episodes.pairs(theta.n_delays)
-        for block in pairs.blocks(block_rows(theta.n_columns)):
+            arranged = episodes.arranged(*wanted, owner="the episodes before")
+        if pairs is not None and arranged is not episodes:
+            raise ValueError("pairs were drawn from episodes with other columns; draw them from episodes.arranged(...)")
+        used = arranged.pairs(theta.n_delays) if pairs is None else arranged.checked_pairs(pairs, theta.n_delays)
+        for block in used.blocks(block_rows(theta.n_columns)):
             self.regression.update(theta.evaluate(block), theta.next_learned(block))
-        self._latest = theta, episodes, pairs
+        self._latest = theta, arranged, used
         return self
 
+    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> StreamingEDMDc:
+        """Forget everything, then :meth:`update` with the episodes ``d1``, or ``pairs`` drawn from them."""
+        self._forget()
+        return self.update(d1, pairs)
+
+    def _forget(self) -> None:
+        self.regression = RecursiveRegression(self.theta.n_columns, len(self.theta.learned_columns), self.forgetting)
+        self._latest = None
+
     @property
-    def lifted(self) -> LiftedModel:
+    def theta_(self) -> Dictionary:  # type: ignore[override]
+        """The dictionary with the names of the data."""
+        return self._data()[0]
+
+    @property
+    def lifted(self) -> LiftedModel:  # type: ignore[override]
         """The model of all pairs so far; ranges and excited inputs are those of the latest episodes."""
-        if self._latest is None:
-            raise ValueError("StreamingEDMDc has no data; call update first")
-        theta, episodes, pairs = self._latest
+        theta, episodes, pairs = self._data()
         a, y = self.regression.rows
         size = np.sqrt((a**2).sum(axis=0) / self.regression.effective_samples)
         scale = column_scales(size, theta.column_quantities)
@@ -86,3 +95,11 @@ class StreamingEDMDc(Parameters):
             "pairs": self.regression.n_samples,
         }
         return lifted_model(theta, fit.K / scale, episodes, pairs, provenance)
+
+    def _fitted(self) -> LiftedModel:
+        return self.lifted
+
+    def _data(self) -> tuple[Dictionary, Episodes, Pairs]:
+        if self._latest is None:
+            raise ValueError("StreamingEDMDc has no data; call update first")
+        return self._latest

@@ -83,14 +83,21 @@ class TwinEDMDc(Estimator):
     ) -> TwinEDMDc:
         """Fit to trajectories of the twin and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
 
-        ``twin`` has the states, inputs and dt of ``d1``. ``equilibria`` and ``excitation`` as in LinearEDMDc; where the
-        alpha that rolls out best does not stay bounded, larger mu are tried too (``twin_alpha_`` is the one that was
-        taken). To fit the twin alone, give its episodes to LinearEDMDc or BilinearEDMDc.
+        ``twin`` has the states, inputs and dt of ``d1``; columns are matched by name. ``equilibria`` and ``excitation``
+        as in LinearEDMDc; where the alpha that rolls out best does not stay bounded, larger mu are tried too
+        (``twin_alpha_`` is the one that was taken). To fit the twin alone, give its episodes to LinearEDMDc or
+        BilinearEDMDc.
         """
         if not isinstance(twin, Episodes):
             raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")
         if isinstance(d1, Episodes):
-            _check_alike(d1, twin)
+            d1 = d1 if pairs is not None else d1.arranged(*self.theta.wanted_names, owner="the dictionary")
+            if not np.isclose(d1.dt, twin.dt, rtol=1e-9):
+                raise ValueError(
+                    f"d1 has dt = {d1.dt:g} s, the twin {twin.dt:g} s; simulate the twin with the dt of d1"
+                )
+            names = d1.state_names, d1.input_names, d1.units, d1.input_units
+            twin = twin.arranged(*names, owner="d1")
         simulated = twin.pairs(self.theta.n_delays)
         problem = self._problem(d1, pairs, equilibria, excitation, simulated)
         fusion = Fusion(problem.theta, simulated, self.twin_alpha, self.scale, self.omit)
@@ -183,16 +190,3 @@ def _omitted(theta: Dictionary, omit: Sequence[str]) -> NDArray[np.bool_]:
         raise ValueError(f"omit names {unknown[:3]}; expected names or quantities of columns")
     labels = zip(theta.column_names, theta.column_quantities, strict=True)
     return np.array([name in omit or quantity in omit for name, quantity in labels], dtype=bool)
-
-
-def _check_alike(d1: Episodes, twin: Episodes) -> None:
-    if not np.isclose(d1.dt, twin.dt, rtol=1e-9):
-        raise ValueError(f"d1 has dt = {d1.dt:g} s, the twin {twin.dt:g} s; simulate the twin with the dt of d1")
-    for what, given, wanted in (
-        ("states", twin.state_names, d1.state_names),
-        ("inputs", twin.input_names, d1.input_names),
-    ):
-        if given != wanted:
-            raise ValueError(
-                f"the twin names its {what} {list(given or ())[:4]}, d1 {list(wanted or ())[:4]}; expected the same"
-            )
