@@ -180,6 +180,22 @@ def test_a_run_in_parts_is_the_run_in_one(name: str) -> None:
     equal(pickle.loads(sent).resume(27, progress=False), whole)
 
 
+def test_a_plant_that_another_loop_moved_is_not_gone_on_with() -> None:
+    plant, controller = Slow(), made("linear")
+    one, other = ClosedLoop(plant, made("linear")), ClosedLoop(plant, controller)
+    whole = one.run(reference(), 12, progress=False)
+    one.run(reference(), 5, progress=False)
+    kept = one.snapshot()
+    other.run(reference(), 3, progress=False)
+    with pytest.raises(ValueError, match="Slow was used in another loop since"):
+        one.resume(7, progress=False)
+    other.resume(2, progress=False)
+    one.restore(kept)
+    equal(one.resume(7, progress=False), whole)
+    with pytest.raises(ValueError, match="used in another loop"):
+        other.resume(1, progress=False)
+
+
 def test_what_cannot_go_on_says_so() -> None:
     class Deaf:
         dt, n_states, n_inputs = 0.05, 3, 2

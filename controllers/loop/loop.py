@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Hashable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +23,8 @@ from pisplit.controllers.loop.wiring import wire
 from pisplit.controllers.references import Reference
 
 DIVERGENCE_FACTOR = 1e3
+#: The run that last used a plant or a controller: another loop must not go on with what it left.
+_LAST: WeakKeyDictionary[Any, object] = WeakKeyDictionary()
 FAR = 3.0  # times the training range beyond which a reference is taken for one in another unit
 
 
@@ -44,6 +49,7 @@ class ClosedLoop:
         self.plant = plant
         self.controller = controller
         self._record: Recorder | None = None
+        self._turn = object()
 
     @property
     def log(self) -> LoopLog:
@@ -66,6 +72,7 @@ class ClosedLoop:
         start = start_input(u0, controller.u_min, controller.u_max)
         controller.reset(start)
         x0 = self._wiring.measured(plant.reset(self._wiring.applied(start)))
+        self._take_turn()
         problem = _fault(x0, controller)
         if problem:
             raise ValueError(f"the plant at rest {problem}; check the model's units and the plant")
@@ -78,12 +85,17 @@ class ClosedLoop:
     def resume(self, steps: int, progress: bool = True) -> LoopLog:
         """Go on for another ``steps`` steps after a run that ended by itself, or after ``restore``; the whole log.
 
-        The same, to the last bit, as one longer run. ``progress``: show a bar. Raises ValueError without a run, and
-        after one that was stopped, amid a step.
+        The same, to the last bit, as one longer run. ``progress``: show a bar. Raises ValueError without a run, after
+        one that was stopped, amid a step, and after plant or controller were used in another loop.
         """
         N, record = count(steps, "steps"), self._recorded()
         if record.message:
             raise ValueError(f"the run ended amid a step ({record.message}); restore a snapshot or start anew")
+        for part in (self.plant, self.controller):
+            if isinstance(part, Hashable) and _LAST.get(part, self._turn) is not self._turn:
+                raise ValueError(
+                    f"{type(part).__name__} was used in another loop since; take snapshots, and restore one to go on"
+                )
         self._look_ahead(N)
         return self._go_on(N, progress)
 
@@ -109,6 +121,13 @@ class ClosedLoop:
         controller.restore(state.controller)
         plant.restore(state.plant)
         self._record = state.record.copy()
+        self._take_turn()
+
+    def _take_turn(self) -> None:
+        self._turn = object()
+        for part in (self.plant, self.controller):
+            with suppress(TypeError):  # what cannot be hashed is not watched
+                _LAST[part] = self._turn
 
     def _recorded(self) -> Recorder:
         if self._record is None:
