@@ -90,20 +90,24 @@ def circle(
     phase: float = 0.0,
     approach: float | None = None,
     track: str = "tip",
+    width: int = 3,
 ) -> Reference:
-    """Circle of ``radius`` [m] with ``period`` [s] in a coordinate ``plane`` of a point; the third coordinate is free.
+    """Circle of ``radius`` with ``period`` [s] in a coordinate ``plane`` of a point; the third coordinate is free.
 
-    ``center`` (2,) in the plane, the starting point if not given; ``phase`` [rad] at t = 0; the circle runs from the
-    first axis of the plane to the second. ``approach``: seconds of blend from the starting point onto the circle, half
-    a period if not given, 0 for none. ``track``: name of the outputs, three coordinates.
+    ``radius`` and ``center`` (2,) in the plane, the starting point if not given, are in the unit of the outputs;
+    ``phase`` [rad] at t = 0; the circle runs from the first axis of the plane to the second. ``approach``: seconds of
+    blend from the starting point onto the circle, half a period if not given, 0 for none. ``track``: name of the
+    outputs, ``width`` coordinates: 3, or 2 where there is no third.
     """
-    R, T = positive(radius, "radius", "m"), positive(period, "period", "s")
+    R, T = positive(radius, "radius"), positive(period, "period", "s")
     if plane not in PLANES:
         raise ValueError(f"plane = {plane!r}; expected one of {', '.join(map(repr, PLANES))}")
+    if max(PLANES[plane]) >= count(width, "width"):
+        raise ValueError(f"width = {width}; the plane {plane!r} needs {max(PLANES[plane]) + 1} coordinates")
     lead_in = T / 2 if approach is None else non_negative(approach, "approach", "s")
     middle = None if center is None else finite_array(center, "center", (2,)).copy()
-    function = _Circle(R, T, middle, PLANES[plane], finite_number(phase, "phase"))
-    plain = Reference(function, width=3, needs_start=middle is None, track=track)
+    function = _Circle(R, T, middle, PLANES[plane], finite_number(phase, "phase"), width)
+    plain = Reference(function, width=width, needs_start=middle is None, track=track)
     return plain.approached(lead_in) if lead_in > 0.0 else plain
 
 
@@ -114,12 +118,13 @@ class _Circle:
     center: Array | None
     axes: tuple[int, int]
     phase: float
+    width: int
 
     def __call__(self, t: Array, start: Array) -> Array:
         angle = self.phase + 2.0 * np.pi * t / self.period
         axes = list(self.axes)
         center = start[axes] if self.center is None else self.center
-        y = np.full((len(t), 3), np.nan)
+        y = np.full((len(t), self.width), np.nan)
         y[:, axes] = center + self.radius * np.column_stack([np.cos(angle), np.sin(angle)])
         return y
 

@@ -8,6 +8,8 @@ from pisplit.controllers import Reference, references
 
 def test_a_circle_keeps_its_radius_and_period() -> None:
     circle = references.circle(0.05, 6.0, center=(0.1, -0.2), plane="yz", approach=0.0)
+    flat = references.circle(0.05, 6.0, center=(0.1, -0.2), phase=0.5 * np.pi, approach=0.0, width=2)
+    np.testing.assert_allclose(flat([0.0, 1.5]), [[0.1, -0.15], [0.05, -0.2]])
     t = np.linspace(0.0, 12.0, 200)
     y = circle(t)
     assert np.isnan(y[:, 0]).all() and circle.track == "tip"
@@ -82,8 +84,12 @@ def test_samples_are_met_exactly_and_joined_linearly() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: references.circle(-1.0, 2.0), "radius = -1 m"),
+        (lambda: references.circle(-1.0, 2.0), "radius = -1; expected"),
         (lambda: references.circle(1.0, 2.0, plane="uv"), "plane = 'uv'"),
+        (lambda: references.circle(1.0, 2.0, plane="xz", width=2), "width = 2; the plane 'xz' needs 3 coordinates"),
+        (lambda: references.constant([0.0, 0.0], width=3), "width = 3, but the point has 2 coordinates"),
+        (lambda: references.constant([[0.0, 0.0]]), "point has shape"),
+        (lambda: references.from_array(np.ones((3, 2)) * 1j, 0.1), "complex"),
         (lambda: references.circle(1.0, 2.0, center=(0.0, 0.0, 0.0)), "center has shape"),
         (lambda: references.setpoint([[1.0], [2.0]], [0.0]), "times has shape"),
         (lambda: references.waypoints([[1.0], [2.0]], [1.0, 1.0]), "increasing"),
