@@ -170,3 +170,35 @@ def test_undamped_rods_move_by_machine_code_too(cache: Path) -> None:
     assert isinstance(twin, compiled.CompiledScene)
     runs = [s.simulator(0.03).run(PULLS[:1], np.zeros(s.n_states)) for s in (scene, twin)]
     assert twin.machine_code and np.allclose(runs[0].x, runs[1].x, rtol=1e-10, atol=1e-10)
+
+
+@needs_compiler
+def test_scenes_that_differ_in_the_last_bit_share_no_machine_code(cache: Path) -> None:
+    """And a byte that flips anywhere in a library is noticed before it is loaded."""
+    last = float(np.nextafter(0.015, 1.0))
+    tendons = [rod.Tendons([[x, 0.0], [-0.015, 0.0]], rod.Displacement(1e-4)) for x in (0.015, last)]
+    functions = [arm(nodes=2).replace(t).statics().residual_function for t in tendons]
+    compiled.compiled_functions(functions[:1])
+    (first,) = libraries(cache)
+    compiled.compiled_functions(functions)
+    assert len(libraries(cache)) == 2
+    content = bytearray(first.read_bytes())
+    assert compiled._intact(first)
+    damaged = first.with_name("damaged.so")
+    for place in (0, len(content) // 3, len(content) // 2, len(content) - 40, len(content) - 1):
+        content[place] ^= 1
+        damaged.write_bytes(content)
+        assert not compiled._intact(damaged)
+        content[place] ^= 1
+
+
+@needs_compiler
+def test_a_plant_of_machine_code_goes_on_elsewhere_to_the_last_bit(cache: Path) -> None:
+    plant = arm(nodes=2).compile(stations=1).simulator(0.03, stations=1)
+    plant.reset()
+    plant.step(PULLS[0])
+    mark, twin = plant.snapshot(), pickle.loads(pickle.dumps(plant))
+    measured = plant.step(PULLS[1]).state
+    assert isinstance(twin.scene, compiled.CompiledScene) and np.array_equal(twin.step(PULLS[1]).state, measured)
+    plant.restore(mark)
+    assert np.array_equal(plant.step(PULLS[1]).state, measured)

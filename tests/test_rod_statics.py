@@ -144,3 +144,33 @@ def test_relaxation_goes_on_where_the_loads_reach_a_fold() -> None:
     force = 100.0 * arm.rod.stiffness[0] / arm.rod.length**2 * direction / np.linalg.norm(direction)
     found = (arm + rod.TipWrench(force=tuple(force.tolist()))).statics().solve()
     assert found.success and found.solver == "relaxation"
+
+
+def test_an_equilibrium_is_one_to_rounding_whatever_the_solvers_hand_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solvers that stop 1e-5 of a curvature away from w = tau r / EI are not believed: others go on to the root."""
+    statics = bent_beyond_its_tendon().statics()
+    search, u = statics.search, np.array([10.0, 0.0, 0.0])
+    exact = 10.0 * 15.06e-3 / statics.scene.rod.stiffness[1]
+    root = search.scaled(statics.solve(u).strains)
+    near = root + 1e-5
+    assert 1e-8 < search.worst(near, u) < 1e-3
+    monkeypatch.setitem(vars(search), "_cold_kinsol", lambda x0, u: near)
+    monkeypatch.setattr(search, "kinsol_of_rows", lambda rows: lambda x, u: np.tile(near[:, None], rows))
+    found, batch = statics.solve(u), statics.solve_many([u])
+    assert found.success and found.solver == "newton" and found.residual <= 1e-8
+    assert batch.success.all() and batch.residual.max() <= 1e-8
+    for state in (found.state, batch.states[0]):
+        assert state[: statics.scene.n_strains].reshape(-1, 3)[:, 1] == pytest.approx(exact, rel=1e-8)
+
+
+def test_an_answer_that_is_no_root_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Residuals of 1e-7 and of 1e-9 EI/L: the line between them is the tolerance."""
+    statics = bent_beyond_its_tendon().statics()
+    search, u = statics.search, np.array([10.0, 0.0, 0.0])
+    root = search.scaled(statics.solve(u).strains)
+    for away, good in ((1e-7, False), (1e-9, True)):
+        near = root + away / search.worst(root + 1e-3, u) * 1e-3
+        monkeypatch.setattr(search, "find", lambda u, x0, near=near: (near, 1, "newton"))
+        found = statics.solve(u)
+        assert found.success is good and found.residual == pytest.approx(away, rel=0.2)
+        assert bool(found.message) is not good
