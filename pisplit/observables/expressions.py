@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -16,12 +17,28 @@ class Expression(Base):
     """Any columns ``function(x, u)`` written in CasADi operations, of the state alone or of the input alone.
 
     ``name`` is one text, or one for each column; ``quantity`` the scaling group (default: each column its own).
-    Raises ValueError if the columns depend on both x and u.
+    A function that Python cannot pickle, such as a lambda, travels between processes as the columns it gave for the
+    numbers of states and inputs that it has met. Raises ValueError if the columns depend on both x and u.
     """
 
     function: Callable[[Symbol, Symbol], Symbol]
     name: str | Sequence[str] = field(kw_only=True)
     quantity: str | None = field(default=None, kw_only=True)
+    _met: set[tuple[int, int]] = field(default_factory=set, init=False, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = dict(self.__dict__)
+        try:
+            pickle.dumps(self.function)
+        except (pickle.PicklingError, AttributeError, TypeError):  # the three ways in which pickle says no
+            state["function"] = _Written({sizes: _written(self._values, *sizes) for sizes in sorted(self._met)})
+        return state
+
+    def __copy__(self) -> Expression:
+        return self  # never changed
+
+    def __deepcopy__(self, memo: Any) -> Expression:
+        return self
 
     def state_columns(self, x: Symbol, names: Names) -> Columns | None:
         u = type(x).sym("u", len(names.inputs))
@@ -34,8 +51,8 @@ class Expression(Base):
         return self._columns(values) if of_input and not of_state else None
 
     def _evaluate(self, x: Symbol, u: Symbol) -> tuple[Symbol, bool, bool]:
-        result = self.function(x, u)
-        values = ca.vec(ca.vertcat(*result) if isinstance(result, list | tuple) else type(x)(result))
+        values = self._values(x, u)
+        self._met.add((x.numel(), u.numel()))
         of_state, of_input = bool(ca.depends_on(values, x)), bool(ca.depends_on(values, u))
         if of_state and of_input:
             raise ValueError(
@@ -44,9 +61,39 @@ class Expression(Base):
             )
         return values, of_state, of_input
 
+    def _values(self, x: Symbol, u: Symbol) -> Symbol:
+        result = self.function(x, u)
+        return ca.vec(ca.vertcat(*result) if isinstance(result, list | tuple) else type(x)(result))
+
     def _columns(self, values: Symbol) -> Columns:
         names = column_names(self.name, values.shape[0])
         return Columns(values, names, (self.quantity,) * len(names) if self.quantity else names)
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What a function x, u -> columns gave, as CasADi Functions by the numbers of states and inputs."""
+
+    functions: dict[tuple[int, int], ca.Function]
+
+    def __call__(self, x: Symbol, u: Symbol) -> Symbol:
+        sizes = (x.numel(), u.numel())
+        if sizes not in self.functions:
+            raise ValueError(
+                f"an Expression from another process is asked for {sizes[0]} states and {sizes[1]} inputs; "
+                f"it knows {sorted(self.functions)}: write it anew, or give it a function that pickle takes"
+            )
+        return self.functions[sizes](x, u)
+
+
+def _written(values: Callable[[Symbol, Symbol], Symbol], n: int, m: int) -> ca.Function:
+    """``values`` as a CasADi Function of n states and m inputs, in SX where it can be."""
+    try:
+        x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
+        return ca.Function("expression", [x, u], [values(x, u)])
+    except (RuntimeError, NotImplementedError):
+        x, u = ca.MX.sym("x", n), ca.MX.sym("u", m)
+        return ca.Function("expression", [x, u], [values(x, u)])
 
 
 @dataclass(frozen=True)

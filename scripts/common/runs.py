@@ -72,7 +72,7 @@ class Chain:
         data = _data(self.source)
         for cell in self.cells:
             if not _finished(cell, self.folder):
-                _write(cell, self.folder, run_cell(cell, self.method, data))
+                write(cell, self.folder, run_cell(cell, self.method, data))
         return len(self.cells)
 
 
@@ -185,7 +185,8 @@ def _finished(cell: Cell, folder: Path) -> bool:
     return True
 
 
-def _write(cell: Cell, folder: Path, result: Result) -> None:
+def write(cell: Cell, folder: Path, result: Result) -> None:
+    """Keep the result of a cell."""
     path = cell.path(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = asdict(result.errors)

@@ -21,6 +21,8 @@ Case = dict[str, Any]
 Outcome = dict[str, Any]
 #: Seconds between two writes of what is finished.
 EVERY = 2.0
+#: Seconds that a worker without work is given to end.
+PATIENCE = 5.0
 
 
 class Finished:
@@ -125,6 +127,8 @@ def _serve(
             process.join()
             process, pipe = _start(work)
         keep(index, outcome)
+    pipe.close()  # the worker ends by itself, and tidies up
+    process.join(PATIENCE)
     process.kill()
     process.join()
 
