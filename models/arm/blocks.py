@@ -82,7 +82,7 @@ def _compute(task: Callable[[int], Block], k: int, place: Path, origin: str) -> 
     with store.writing(_file(place, k), KIND) as file:
         file.attrs["number"] = k
         store.write_text(file, "origin", origin)
-        store.write_arrays(file.create_group("arrays"), block)
+        store.write_arrays(file.create_group("arrays", track_order=True), block)
     return k
 
 

@@ -23,8 +23,9 @@ def write(path: str | os.PathLike[str], fields: Mapping[str, Any]) -> None:
     with store.writing(path, KIND) as file:
         _write_ragged(file, "x", fields["xs"])
         _write_ragged(file, "u", fields["us"])
+        extra = file.create_group("extra", track_order=True)
         for name, arrays in fields["extra"].items():
-            _write_ragged(file.require_group("extra"), store.as_key(name), arrays)
+            _write_ragged(extra, store.as_key(name), arrays)
         file.attrs["dt"] = fields["dt"]
         for name in LABELS:
             store.write_strings(file, name, fields[name])

@@ -161,7 +161,7 @@ def write_arrays(group: h5py.Group, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    """Read what :func:`write_arrays` wrote, in alphabetical order of the names."""
+    """Read what :func:`write_arrays` wrote; in the order of writing if the group keeps it (``track_order``)."""
     found: dict[str, NDArray[Any]] = {}
     for key, dataset in group.items():
         name = from_key(key)
