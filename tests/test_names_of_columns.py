@@ -123,3 +123,10 @@ def test_labels_in_python_control_differ_and_hold_units() -> None:
     system = to_control(LinearEDMDc(hinges, alpha=1e-6).fit(recorded()).lifted)
     assert len(set(system.state_labels)) == system.nstates == 4
     assert system.output_labels == ["angle_rad", "rate_rad_s"] and system.input_labels == ["left_V", "right_V"]
+
+
+def test_inputs_alone_are_converted() -> None:
+    """Nobody wants units of the states: they keep theirs."""
+    d1 = Episodes([np.ones((3, 1))], [np.ones((2, 1))], 0.1, units=["m"], input_units=["mm"])
+    wanted = d1.arranged(input_units=["m"])
+    assert (wanted.units, wanted.input_units) == (("m",), ("m",)) and wanted.us[0][0, 0] == 1e-3
