@@ -88,12 +88,15 @@ class _Written:
 
 def _written(values: Callable[[Symbol, Symbol], Symbol], n: int, m: int) -> ca.Function:
     """``values`` as a CasADi Function of n states and m inputs, in SX where it can be."""
+
+    def written(kind: Any) -> ca.Function:
+        x, u = kind.sym("x", n), kind.sym("u", m)
+        return ca.Function("expression", [x, u], [values(x, u)])
+
     try:
-        x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
-        return ca.Function("expression", [x, u], [values(x, u)])
+        return written(ca.SX)
     except (RuntimeError, NotImplementedError):
-        x, u = ca.MX.sym("x", n), ca.MX.sym("u", m)
-        return ca.Function("expression", [x, u], [values(x, u)])
+        return written(ca.MX)
 
 
 @dataclass(frozen=True)
