@@ -68,7 +68,10 @@ class ControlSystem:
         return trajectory
 
     def known_flow(self, states: Array, inputs: Array, t: float, method: str = "rk4", substeps: int = 8) -> Array:
-        """Flow of the known f alone over ``t`` seconds from states (N, n) at constant inputs (N, m)."""
+        """Flow of the known f alone over ``t`` seconds from states (N, n) at constant inputs (N, m).
+
+        ``method`` and ``substeps`` as in ``simulate``.
+        """
         return Mapped(self._flow(self.known, positive(t, "t", "s"), method, substeps))(states, inputs)
 
     def _flow(self, field: ca.Function, t: float, method: str, substeps: int) -> ca.Function:

@@ -85,6 +85,8 @@ def two_link_arm(
 def tendon_arm(nodes: int = 5) -> ControlSystem:
     """The tendon arm of the paper in its own coordinates: the backbone with its weight, damping and drag is f, the
     tendons are h (:func:`pisplit.models.rod_system.rod_system` takes any scene). Simulate with ``method="idas"``.
+
+    ``nodes`` is the number of Gauss nodes.
     """
     from pisplit.models.arm.tendon_arm import TendonArm
     from pisplit.models.rod_system import rod_system  # the other systems need no rods
@@ -95,7 +97,10 @@ def tendon_arm(nodes: int = 5) -> ControlSystem:
 def two_link_inertia(
     q: ca.SX, w: ca.SX, masses: tuple[float, float], lengths: tuple[float, float]
 ) -> tuple[ca.SX, ca.SX]:
-    """Mass matrix M(q) (2, 2) [kg m^2], Coriolis and centrifugal torques C(q, w) w (2,) [N m] of two uniform links."""
+    """Mass matrix M(q) (2, 2) [kg m^2], Coriolis and centrifugal torques C(q, w) w (2,) [N m] of two uniform links.
+
+    ``masses`` in kg and ``lengths`` in m.
+    """
     (m1, m2), (l1, l2) = masses, lengths
     coupling = 0.5 * m2 * l1 * l2
     outer = m2 * l2**2 / 3.0

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +44,21 @@ def test_parameters_and_their_vector_are_the_same() -> None:
     values = np.random.default_rng(0).normal(size=22)
     found = TendonParameters.of_vector(values, 0.015).vector(0.015)
     np.testing.assert_allclose(found, values, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"stiffness": np.ones(2)}, r"offset has shape \(3, 2\); expected \(2, 2\)"),
+        ({"stiffness": np.array([1.0, -1.0, 1.0])}, "stiffness = -1 N/m"),
+        ({"slack": np.array([0.0, np.nan, 0.0])}, "slack has 1 NaN"),
+        ({"damping": 0.0}, "damping = 0"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused_in_one_line(arm: TendonArm, change: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=text) as found:
+        replace(nominal_parameters(arm), **change)
+    assert "\n" not in str(found.value)
 
 
 def test_sixteen_equilibria_and_a_wrong_drawing_give_the_arm_to_a_twentieth_of_a_millimetre(
@@ -312,7 +328,11 @@ def test_wrong_arguments_are_refused_in_one_line(arm: TendonArm) -> None:
         (
             {
                 "start": replace(
-                    nominal_parameters(arm), stiffness=np.ones(2), offset=np.ones((2, 2)), slack=np.zeros(2)
+                    nominal_parameters(arm),
+                    stiffness=np.ones(2),
+                    offset=np.ones((2, 2)),
+                    slack=np.zeros(2),
+                    shift=np.zeros((2, 2)),
                 )
             },
             "the arm has 3 inputs",

@@ -76,6 +76,8 @@ class ArmPhysics:
 
         Steps come in pairs of opposite sign: second-order terms cancel, which a backbone whose fastest rate is 1e8
         times its slowest needs.
+
+        ``seed`` decides the directions of the steps.
         """
         scene, passive = self.arm.scene, self.arm.passive
         n, count = scene.n_strains, 16 * scene.n_strains

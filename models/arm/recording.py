@@ -37,6 +37,8 @@ def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, l
     """Smooth random displacements (steps, m) in m between random targets of ``law`` (:func:`random_targets`).
 
     A new target every 16 steps, a raised cosine in between. It starts with the arm at rest.
+
+    ``arm`` gives rest and amplitude, ``rng`` draws.
     """
     count(steps, "steps")
     knots = -(-steps // STEPS_PER_TARGET) + 1
@@ -54,6 +56,8 @@ def random_targets(arm: TendonArm, n: int, rng: np.random.Generator, law: str = 
 
     "zero-sum": ``arm.rest_inputs`` plus :func:`random_differential`; "independent": each tendon uniformly between
     minus and plus ``arm.amplitude``, so that half of the tendons are slack.
+
+    ``arm`` gives rest and amplitude, ``rng`` draws.
     """
     if one_of(law, "law", LAWS) == "independent":
         return rng.uniform(-arm.amplitude, arm.amplitude, size=(n, arm.scene.n_inputs))
@@ -62,7 +66,10 @@ def random_targets(arm: TendonArm, n: int, rng: np.random.Generator, law: str = 
 
 
 def random_differential(arm: TendonArm, n: int, rng: np.random.Generator) -> Array:
-    """``n`` random zero-sum displacements (n, m) in m, even over the disc of radius ``arm.amplitude``."""
+    """``n`` random zero-sum displacements (n, m) in m, even over the disc of radius ``arm.amplitude``.
+
+    ``rng`` draws.
+    """
     radius = arm.amplitude * np.sqrt(rng.uniform(size=(n, 1)))
     direction = rng.uniform(-np.pi, np.pi, size=(n, 1))
     moves: Array = radius * np.cos(arm.tendon_angles[None, :] - direction)
@@ -74,6 +81,8 @@ def play(commands: Array, width: float, start: Array) -> Array:
 
     y_k = min(max(y_{k-1}, u_k - width / 2), u_k + width / 2) from y = ``start`` (m,); rate-independent hysteresis.
     Source: Visintin, *Differential Models of Hysteresis*, Springer 1994, ch. III.
+
+    ``commands`` are the displacements.
     """
     moved, last = np.empty_like(commands), start
     for k, command in enumerate(commands):
@@ -84,7 +93,10 @@ def play(commands: Array, width: float, start: Array) -> Array:
 
 @dataclass(frozen=True)
 class EpisodeTask:
-    """One episode from rest: the work of one block of D1. Draws whose simulation fails are recorded and replaced."""
+    """One episode from rest: the work of one block of D1. Draws whose simulation fails are recorded and replaced.
+
+    Its attributes are arguments of ``make_episodes``: arm, steps, dt, rtol, stations, seed, law, compiled, backlash.
+    """
 
     arm: TendonArm
     steps: int
@@ -134,6 +146,20 @@ def make_episodes(
     states [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
     ``compiled`` turns the scene into machine code first: ten seconds once, then several times faster, same numbers.
     ``backlash`` in m is a play between commands, which are recorded, and tendons (:func:`play`).
+
+    Args:
+        arm: what moves.
+        path: of the file.
+        episodes: their number.
+        steps: of each.
+        dt: of a step in s.
+        rtol: relative tolerance of IDAS.
+        stations: number of measured stations.
+        seed: of all of them.
+        workers: processes, -1 for one a core.
+        progress: whether to show a bar.
+        law: of the inputs (:data:`LAWS`).
+        compiled, backlash: see above.
     """
     count(episodes, "episodes")
     identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law, backlash)
@@ -170,7 +196,10 @@ def episodes_origin(
     law: str = "zero-sum",
     backlash: float = 0.0,
 ) -> dict[str, Any]:
-    """All that decides the episodes of ``make_episodes`` but their number; part of their provenance."""
+    """All that decides the episodes of ``make_episodes`` but their number; part of their provenance.
+
+    ``arm``, ``steps``, ``dt``, ``rtol``, ``stations``, ``seed``, ``law`` and ``backlash`` are its arguments.
+    """
     return {
         **_arm_origin(arm, "episodes", stations, seed, law),
         "steps": count(steps, "steps"),
@@ -194,6 +223,8 @@ def phase_origin(
     """All that decides the samples of ``make_phase_samples``, whose arguments these are, but their number.
 
     It is part of their provenance. Raises ValueError for a known part with inputs or with other strains than the arm.
+
+    ``arm``, ``rates``, ``stations``, ``seed``, ``law``, ``deviations``, ``known`` and ``dt`` are these arguments.
     """
     n = arm.scene.n_strains
     if known is not None and (known.n_inputs or known.n_strains != n):
@@ -232,7 +263,11 @@ def check_origin(
 
 @dataclass(frozen=True)
 class PhaseTask:
-    """Static shapes under random displacements with random rates: the work of one block of D2."""
+    """Static shapes under random displacements with random rates: the work of one block of D2.
+
+    Its attributes follow from arguments of ``make_phase_samples``: arm, samples (of a block), rate_factor and
+    shape_factor (n, n) (roots of the covariances of rates and of deviations), stations, seed, law, known, dt, compiled.
+    """
 
     arm: TendonArm
     samples: int
@@ -293,6 +328,13 @@ def make_phase_samples(
     derivative of the fields when the arm moves without its tendons.
 
     Args:
+        arm: the arm; its tendons are not in f.
+        path: of the file.
+        samples: their number.
+        stations: number of measured stations.
+        seed: of all samples.
+        workers: processes, -1 for one a core.
+        progress: whether to show a bar.
         rates: strain rates (N, n_strains) of simulated trajectories.
         deviations: strains minus those of the equilibrium under the same inputs (N, n_strains), from trajectories.
             Their covariance is added to the static shapes. Without them D2 is the paper's: its shapes span few
@@ -337,7 +379,10 @@ def make_phase_samples(
 
 def deviations_from_equilibrium(arm: TendonArm, episodes: Episodes) -> tuple[Array, Array]:
     """Strains minus those at rest under the inputs of the moment, and strain rates, each (N, n_strains), of simulated
-    episodes."""
+    episodes.
+
+    ``arm`` is the one that moved in ``episodes``.
+    """
     n = arm.scene.n_strains
     states = _simulated_states(arm, episodes)
     rest = arm.scene.statics().solve_many(states[:, 2 * n :])
@@ -346,7 +391,7 @@ def deviations_from_equilibrium(arm: TendonArm, episodes: Episodes) -> tuple[Arr
 
 
 def strain_rates(arm: TendonArm, episodes: Episodes) -> Array:
-    """Strain rates (N, n_strains) of simulated episodes."""
+    """Strain rates (N, n_strains) of simulated episodes. ``arm`` is the one that moved in ``episodes``."""
     n = arm.scene.n_strains
     rates: Array = _simulated_states(arm, episodes)[:, n : 2 * n]
     return rates

@@ -48,6 +48,8 @@ class TendonArm:
         example that goes with that article: E = 207 GPa, G = E / 2.6, radius 0.675 mm, total mass 0.034 kg, tendon
         offset 15.06 mm, tendon compliance 1e-4 1/N, bending and torsion damping 5e-4 N m^2 s, quadratic drag
         1e-4 N s^2/m^3, gravity 9.81 m/s^2 along -x (the arm points sideways).
+
+        ``nodes`` is the number of Gauss nodes.
         """
         length, radius = 0.7144, 0.675e-3
         section = rod.Circle(radius)
@@ -68,6 +70,8 @@ class TendonArm:
 
         Three tendons at 15 mm with 1.6 mm/N, bending and torsion damping 2e-3 N m^2 s, quadratic drag 3e-3 N s^2/m^3,
         gravity along -x, no pretension: under zero-sum displacements of 12 mm some tendons always hang loose.
+
+        ``nodes`` is the number of Gauss nodes.
         """
         length = 0.5
         material = rod.Elastic(young=207e9, shear=207e9 / 2.6, density=8000.0)

@@ -108,6 +108,7 @@ def calibrate_from_shapes(
         inputs: displacements (N, m) in m.
         fields: measured fields (N, 24 S) at rest under them, of which positions and frames count.
         position_error, rotation_error: standard deviations of the measured positions in m and frames in rad.
+        stations: their number S.
         arm, free, start: as in ``calibrate_from_equilibria``.
         input_error: standard deviation in m of the displacements, such as a play between servo and tendons makes.
     """

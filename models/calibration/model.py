@@ -85,7 +85,13 @@ def nominal_parameters(arm: TendonArm) -> TendonParameters:
 
 
 class ParametrisedArm:
-    """The backbone with parametrised tendons, and which parameters are free."""
+    """The backbone with parametrised tendons, and which parameters are free.
+
+    Args:
+        arm: the arm.
+        start: first guess; the arm's own tendons when not given.
+        free: parts of ``GROUPS``.
+    """
 
     def __init__(self, arm: TendonArm, start: TendonParameters | None, free: Sequence[str]) -> None:
         unknown = [name for name in free if name not in GROUPS]
@@ -128,13 +134,13 @@ class ParametrisedArm:
         return found
 
     def full(self, x: Array) -> Array:
-        """All parameters, from the free ones."""
+        """All parameters, from the free ones. ``x`` (P,) are these."""
         values = self.start.copy()
         values[self.free] = x
         return values
 
     def prior(self, x: Array) -> Array:
-        """Distance from the first guess in standard deviations."""
+        """Distance from the first guess in standard deviations. ``x`` (P,) are the free parameters."""
         return (x - self.start[self.free]) / self.spread[self.free]
 
     @property
@@ -143,7 +149,10 @@ class ParametrisedArm:
         return np.diag(1.0 / self.spread[self.free])
 
     def result(self, x: Array, residual: float, samples: int, success: bool) -> Calibration:
-        """The identified arm."""
+        """The identified arm.
+
+        ``x`` (P,) are its free parameters; ``residual``, ``samples`` and ``success`` as in ``Calibration``.
+        """
         values = self.full(x)
         scene = self._scene(tuple(values.tolist()))
         arm = TendonArm(scene, self.arm.pretension, self.arm.amplitude)

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import Array, count, positive
+from pisplit.checks import Array, count, finite_array, finite_number, positive
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
@@ -45,13 +45,25 @@ class TendonParameters:
     damping: float = 1.0
     tip_mass: float = 0.0
 
+    def __post_init__(self) -> None:
+        m = len(np.atleast_1d(self.stiffness))
+        for name, shape in (("offset", (m, 2)), ("stiffness", (m,)), ("slack", (m,)), ("shift", (m, 2))):
+            object.__setattr__(self, name, finite_array(getattr(self, name), f"TendonParameters {name}", shape))
+        positive(float(np.min(self.stiffness)), "TendonParameters stiffness", "N/m")
+        for name in ("rounding", "bending", "damping"):
+            positive(getattr(self, name), f"TendonParameters {name}")
+        finite_number(self.tip_mass, "TendonParameters tip_mass")
+
     @property
     def n_tendons(self) -> int:
         """Number of tendons m."""
         return len(self.stiffness)
 
     def vector(self, radius: float) -> Array:
-        """Parameters (6 m + 4,) of order one about zero: points in radii, logarithms of all that is positive."""
+        """Parameters (6 m + 4,) of order one about zero: points in radii, logarithms of all that is positive.
+
+        ``radius`` in m.
+        """
         return np.concatenate(
             [
                 self.offset.ravel() / radius,
@@ -65,7 +77,7 @@ class TendonParameters:
 
     @classmethod
     def of_vector(cls, values: Array, radius: float) -> TendonParameters:
-        """The inverse of ``vector``."""
+        """The inverse of ``vector``. ``values`` (6 m + 4,), ``radius`` in m."""
         m = (len(values) - 4) // 6
         return cls(
             offset=radius * values[: 2 * m].reshape(m, 2),
@@ -110,6 +122,8 @@ class CalibratedTendons(TendonTerm):
         positive(self.radius, "CalibratedTendons radius", "m")
         if self.values is not None and len(self.values) != 6 * self.n_tendons + 4:
             raise ValueError(f"{len(self.values)} parameters of {self.n_tendons} tendons; expected 6 each and 4 more")
+        if self.values is not None:
+            finite_array(np.asarray(self.values), "CalibratedTendons values", (None,))
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -131,12 +145,15 @@ class CalibratedTendons(TendonTerm):
         return points
 
     def pull(self, rod: Rod, rule: Rule) -> Pull:
-        """Displacements below what the slack leaves of the length; while parameters are an input, below the length."""
+        """Displacements below what the slack leaves of the length; while parameters are an input, below the length.
+
+        ``rod`` and ``rule``, its nodes, are those of the scene.
+        """
         slack = np.zeros(self.n_tendons) if self.values is None else self.parameters.slack
         return Pull(rod.length - slack)
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the active stress."""
+        """Add the active stress. ``motion`` is that of the rod; ``loads`` takes what is added."""
         m, u = self.n_tendons, loads.inputs[self.name]
         given = loads.inputs[PARAMETERS] if self.values is None else ca.SX(ca.DM(list(self.values)))
         bases, shifts = given[: 2 * m], given[4 * m + 3 : 6 * m + 3]
@@ -165,5 +182,5 @@ class CalibratedTendons(TendonTerm):
             add_mass(motion, loads, rule.length, REFERENCE_MASS * given[-1])
 
     def describe(self, rod: Any) -> str:
-        """Number of tendons."""
+        """Number of tendons. ``rod`` is that of the scene."""
         return f"{self.n_tendons} calibrated tendons, {self.name}"

@@ -63,6 +63,7 @@ def calibrate_from_recordings(
         fields: measured fields (N, T+1, 24 S) at T+1 instants of N recordings; a few steps each are enough.
         inputs: displacements (N, T+1, m) in m at these instants; they move linearly in between.
         dt: time between the instants in s.
+        stations: their number S.
         position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
         rate_error: that of curvatures and velocities, in parts of their spread in the recordings.
         arm, free, start: as in ``calibrate_from_pairs``.

@@ -31,6 +31,7 @@ class RestingShapes:
         model: the arm with its free parameters.
         inputs: displacements (N, m) in m.
         fields: measured fields (N, 24 S), of which positions and frames count.
+        stations: their number S.
         position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
         input_error: that of displacements in m. What it does to the shapes is taken to first order about the first
             guess, and misses are divided by the root of their whole covariance.
@@ -86,11 +87,14 @@ class RestingShapes:
         return np.asarray(missed.reshape(len(u), -1))
 
     def slope(self, x: Array) -> Array:
-        """Derivative of the misses in the free parameters."""
+        """Derivative of the misses in the free parameters. ``x`` (P,) are these."""
         return central_slope(self.misses)(x)
 
     def fit(self, digits: float = 1e-6, steps: int = 100) -> OptimizeResult:
-        """Least squares over the free parameters, with the first guess as prior: scipy's result."""
+        """Least squares over the free parameters, with the first guess as prior: scipy's result.
+
+        It ends at a relative change below ``digits``, or after so many ``steps``.
+        """
         model = self.model
 
         def residual(x: Array) -> Array:
@@ -108,7 +112,7 @@ class RestingShapes:
 
 
 def central_slope(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Jacobian by central differences with absolute steps: logarithms start at zero."""
+    """Jacobian by central differences with absolute steps: logarithms start at zero. ``function`` maps (P,) to (M,)."""
 
     def slope(x: Array) -> Array:
         steps = DIFFERENCE * np.eye(len(x))

@@ -27,6 +27,8 @@ class GaussRule:
     ``b_k (b_j - A_kj) = b_j A_jk``: integrating loads from the tip with ``b_j - A_kj`` is the exact
     adjoint of integrating motion from the base (Hairer, Lubich & Wanner, *Geometric Numerical
     Integration*, IV.2: the condition for a symplectic Runge-Kutta method).
+
+    ``n_nodes`` is K.
     """
 
     length: float
@@ -145,7 +147,10 @@ class CompositeRule:
         return _kept(matrix)
 
     def interpolate(self, s: ArrayLike) -> Array:
-        """Rows of Lagrange weights (S, K); a border takes the values of the element before it."""
+        """Rows of Lagrange weights (S, K); a border takes the values of the element before it.
+
+        ``s`` (S,) are arclengths in m.
+        """
         points = np.atleast_1d(np.asarray(s, float))
         rows = np.zeros((len(points), self.n_nodes))
         owner = np.searchsorted(self.borders[1:-1], points, side="left")

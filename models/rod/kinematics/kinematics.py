@@ -49,6 +49,11 @@ class Motion:
     Equations (s = arclength, t = time; R_s = R hat(w), p_s = R v):
         O_s = R w_t,  O_ts = O x R w_t + R w_tt      (O: world angular velocity, that of the base at the clamp)
         p_ts = O x p_s + R v_t,  p_tts = O_t x p_s + O x (O x p_s) + 2 O x R v_t + R v_tt
+
+    Attributes:
+        rod, rule: the rod and its nodes.
+        strains, rates, accelerations: its coordinates (n_strains,) and their derivatives.
+        base: motion of the clamp.
     """
 
     rod: Rod
@@ -108,7 +113,7 @@ class Motion:
         return self.frames_at(points)
 
     def frames_at(self, points: Sequence[float]) -> list[ca.SX]:
-        """Rotations R at arclengths."""
+        """Rotations R at arclengths. ``points`` in m."""
         return self.rod.strain_set.frames(self.w, self.rule, points, self._steps)
 
     @cached_property
@@ -121,11 +126,11 @@ class Motion:
         return self.frames[-1]
 
     def to_world(self, body: ca.SX) -> ca.SX:
-        """Body vectors at the nodes (3, K) in world axes."""
+        """Body vectors at the nodes (3, K) in world axes. ``body`` are these vectors."""
         return ca.horzcat(*[r @ b for r, b in zip(self.frames, ca.horzsplit(body), strict=False)])
 
     def to_body(self, world: ca.SX) -> ca.SX:
-        """World vectors at the nodes (3, K) in body axes."""
+        """World vectors at the nodes (3, K) in body axes. ``world`` are these vectors."""
         return ca.horzcat(*[r.T @ b for r, b in zip(self.frames, ca.horzsplit(world), strict=False)])
 
     def integral(self, density: ca.SX, rows: Array) -> ca.SX:
@@ -133,15 +138,15 @@ class Motion:
         return ca.mtimes(density, ca.DM(rows.T))
 
     def from_base(self, density: ca.SX) -> ca.SX:
-        """int_0^{s_k} at every node."""
+        """int_0^{s_k} at every node. ``density`` (3, K) is given at the nodes."""
         return self.integral(density, self.rule.integration)
 
     def to_tip(self, density: ca.SX) -> ca.SX:
-        """int_{s_k}^L at every node, the adjoint of ``from_base``."""
+        """int_{s_k}^L at every node, the adjoint of ``from_base``. ``density`` (3, K) is given at the nodes."""
         return self.integral(density, self.rule.weights[None, :] - self.rule.integration)
 
     def total(self, density: ca.SX) -> ca.SX:
-        """int_0^L."""
+        """int_0^L. ``density`` (3, K) is given at the nodes."""
         return self.integral(density, self.rule.weights[None, :])
 
     @cached_property
@@ -212,31 +217,34 @@ class Motion:
     # Anywhere on the rod ---------------------------------------------------------------------------------------------
 
     def position_at(self, points: Sequence[float]) -> ca.SX:
-        """p (3, S) at arclengths in m."""
+        """p (3, S) at arclengths in m. ``points`` are these."""
         return self._along(self.base.position, self.tangent, points)
 
     def velocity_at(self, points: Sequence[float]) -> ca.SX:
-        """World velocity p_t (3, S) at arclengths in m/s."""
+        """World velocity p_t (3, S) at arclengths in m/s. ``points`` are these."""
         return self._along(self.base.velocity, self.velocity_density, points)
 
     def acceleration_at(self, points: Sequence[float]) -> ca.SX:
-        """World acceleration p_tt (3, S) at arclengths in m/s^2."""
+        """World acceleration p_tt (3, S) at arclengths in m/s^2. ``points`` are these."""
         return self._along(self.base.acceleration, self.acceleration_density, points)
 
     def spin_at(self, points: Sequence[float]) -> ca.SX:
-        """World angular velocity O (3, S) at arclengths in rad/s."""
+        """World angular velocity O (3, S) at arclengths in rad/s. ``points`` are these, in m."""
         return self._along(self.base.spin, self.spin_density, points)
 
     def spin_rate_at(self, points: Sequence[float]) -> ca.SX:
-        """O_t (3, S) at arclengths in rad/s^2."""
+        """O_t (3, S) at arclengths in rad/s^2. ``points`` are arclengths in m."""
         return self._along(self.base.spin_rate, self.spin_rate_density, points)
 
     def frame_at(self, s: float) -> ca.SX:
-        """Rotation R at one arclength."""
+        """Rotation R at one arclength. ``s`` in m."""
         return self.tip_frame if self.is_tip(s) else self.frames_at([s])[0]
 
     def is_tip(self, s: float) -> bool:
-        """Whether an arclength is that of the tip, to rounding: the elements of a rod add up to L only to that."""
+        """Whether an arclength is that of the tip, to rounding: the elements of a rod add up to L only to that.
+
+        ``s`` in m.
+        """
         return bool(np.isclose(s, self.rule.length, rtol=1e-12, atol=0.0))
 
     def _based(self, base: ca.SX) -> ca.SX:
@@ -247,7 +255,7 @@ class Motion:
 
 
 def columnwise_cross(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Cross products of the columns of two 3 x K matrices."""
+    """Cross products of the columns of two 3 x K matrices. ``a`` and ``b`` are these."""
     return ca.vertcat(
         a[1, :] * b[2, :] - a[2, :] * b[1, :],
         a[2, :] * b[0, :] - a[0, :] * b[2, :],

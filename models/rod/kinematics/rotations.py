@@ -22,7 +22,7 @@ def compose(p: ca.SX, q: ca.SX) -> ca.SX:
 
 
 def rotation_matrix(q: ca.SX) -> ca.SX:
-    """Rotation matrix (3, 3) of a unit quaternion (4,)."""
+    """Rotation matrix (3, 3) of a unit quaternion (4,). ``q`` is the quaternion, scalar first."""
     scalar, x, y, z = q[0], q[1], q[2], q[3]
     twice = 2.0 * q
     sx, sy, sz = twice[1] * scalar, twice[2] * scalar, twice[3] * scalar

@@ -22,7 +22,12 @@ COMPONENTS = ("w1", "w2", "w3", "v1", "v2", "v3")
 
 @dataclass(frozen=True)
 class StrainSet:
-    """Free strain components of a rod, by index into ``COMPONENTS``, in increasing order."""
+    """Free strain components of a rod, by index into ``COMPONENTS``, in increasing order.
+
+    Args:
+        name: for tables and messages.
+        free: the indices.
+    """
 
     name: str
     free: tuple[int, ...]
@@ -59,6 +64,8 @@ class StrainSet:
         Numerica 2000): for R' = R hat(w), Omega = W + sqrt(3)/12 h W x (w_2 - w_1) with W = int w ds and w at the two
         Gauss points of each step. W is that of the polynomial through the nodes, exactly: where the axis of bending
         does not turn, so are the frames. Planar rods need none.
+
+        ``w_nodes`` are these strains.
         """
         ends = [base]
         if not self.planar:
@@ -71,6 +78,8 @@ class StrainSet:
 
         Planar rods integrate the angle exactly. Otherwise one more Magnus step leads from the last node to each
         arclength, so that a frame does not depend on which others are asked for.
+
+        ``w_nodes`` (3, K) are the strains w at the nodes.
         """
         if self.planar:
             base = ca.sparsify(rotation_matrix(steps[0]))
@@ -89,7 +98,10 @@ class StrainSet:
 
 
 def turn_rows(rule: Rule, start: float, end: float) -> Array:
-    """Rows (2, K) over nodal strains for one Magnus step: W, and sqrt(3)/12 h (w_2 - w_1)."""
+    """Rows (2, K) over nodal strains for one Magnus step: W, and sqrt(3)/12 h (w_2 - w_1).
+
+    The step goes from ``start`` to ``end`` in m on the nodes of ``rule``.
+    """
     h = end - start
     points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
     first, second = rule.interpolate(points)

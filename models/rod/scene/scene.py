@@ -153,7 +153,10 @@ class Scene(Equations):
         return made
 
     def codegen(self, path: str | Path, dt: float, substeps: int = 8, stations: int = 6) -> Exported:
-        """The scene as dependency-free C with a step of fixed cost, for a controller board: see ``codegen.codegen``."""
+        """The scene as dependency-free C with a step of fixed cost, for a controller board: see ``codegen.codegen``.
+
+        Files at ``path``, a ``dt`` in s of ``substeps`` steps, fields at ``stations``.
+        """
         from pisplit.models.rod.output.codegen import codegen
 
         return codegen(self, path, dt, substeps, stations)
@@ -193,7 +196,10 @@ class Scene(Equations):
     def inverse(
         self, tip: ArrayLike, limits: ArrayLike | None = None, start: ArrayLike | None = None
     ) -> InverseSolution:
-        """Inputs that bring the tip to ``tip`` (3,) in m, NaN where free, within limits: see ``Statics.inverse``."""
+        """Inputs that bring the tip to ``tip`` (3,) in m, NaN where free, within limits: see ``Statics.inverse``.
+
+        ``start`` (n_inputs,) is the first guess; zeros when not given.
+        """
         return self.statics().inverse(tip, limits, start)
 
     def linearise(self, state: ArrayLike) -> Linearisation:
@@ -203,7 +209,10 @@ class Scene(Equations):
         return linearise(self, state)
 
     def modes(self, state: ArrayLike, number: int | None = None) -> NaturalModes:
-        """Frequencies, damping and shapes of the slowest modes about an equilibrium: see ``NaturalModes``."""
+        """Frequencies, damping and shapes of the slowest modes about an equilibrium: see ``NaturalModes``.
+
+        ``state`` (n_states,) is at rest; ``number`` of modes, all when not given.
+        """
         from pisplit.models.rod.analysis.modes import natural_modes
 
         return natural_modes(self, state, number)

@@ -14,15 +14,21 @@ class Material(Protocol):
     """What a rod asks of its material: ``density`` in kg/m^3 and the stiffness of each strain of a section."""
 
     @property
-    def density(self) -> float: ...
+    def density(self) -> float:
+        """In kg/m^3."""
 
     def stiffness(self, section: Section) -> tuple[float, ...]:
-        """Stiffness of (w1, w2, w3) in N m^2 and of (v1, v2, v3) in N."""
+        """Stiffness of (w1, w2, w3) in N m^2 and of (v1, v2, v3) in N. ``section`` is the cross-section."""
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """Linear elastic material: Young's modulus and shear modulus in Pa, density in kg/m^3."""
+    """Linear elastic material: Young's modulus and shear modulus in Pa, density in kg/m^3.
+
+    Args:
+        young, shear: moduli in Pa.
+        density: in kg/m^3.
+    """
 
     young: float
     shear: float
@@ -34,7 +40,7 @@ class Elastic:
         positive(self.density, "Elastic density", "kg/m^3")
 
     def stiffness(self, section: Section) -> tuple[float, ...]:
-        """(E I1, E I2, G J) in N m^2 and (k1 G A, k2 G A, E A) in N."""
+        """(E I1, E I2, G J) in N m^2 and (k1 G A, k2 G A, E A) in N. ``section`` is the cross-section."""
         i1, i2, _ = section.second_moments
         k1, k2 = section.shear_factors
         young, shear, area = self.young, self.shear, section.area

@@ -21,13 +21,20 @@ class Section(Protocol):
     """
 
     @property
-    def area(self) -> float: ...
+    def area(self) -> float:
+        """Area in m^2."""
+
     @property
-    def second_moments(self) -> tuple[float, float, float]: ...
+    def second_moments(self) -> tuple[float, float, float]:
+        """About the axes 1, 2 and 3 in m^4."""
+
     @property
-    def torsion_constant(self) -> float: ...
+    def torsion_constant(self) -> float:
+        """In m^4."""
+
     @property
-    def shear_factors(self) -> tuple[float, float]: ...
+    def shear_factors(self) -> tuple[float, float]:
+        """Along the axes 1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +181,7 @@ Sections = Section | tuple[Section, ...] | Tapered | Callable[[float], Section]
 
 
 def checked_section(value: object, s: float) -> Section:
-    """``value`` as a section, named by the arclength it belongs to."""
+    """``value`` as a section, named by the arclength it belongs to. ``s`` in m."""
     if not isinstance(value, Section):
         raise ValueError(f"Rod section at s = {s:g} m is {value!r}; expected a section such as Circle(radius)")
     positive(value.area, f"Rod section area at s = {s:g} m", "m^2")

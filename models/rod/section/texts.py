@@ -10,7 +10,10 @@ OPTION = {"option": True}
 
 
 def brief(item: Any) -> str:
-    """``repr`` of a dataclass without the options that are at their defaults: a new option changes no old text."""
+    """``repr`` of a dataclass without the options that are at their defaults: a new option changes no old text.
+
+    ``item`` is the dataclass.
+    """
 
     def silent(f: Field[Any]) -> bool:
         return bool(f.metadata.get("option")) and getattr(item, f.name) == f.default

@@ -56,10 +56,13 @@ class Base:
         return any(isinstance(v, Input) or any(v) for v in rates)
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """No load: the motion of the rod starts from this base."""
+        """No load: the motion of the rod starts from this base.
+
+        ``motion`` is that of the rod; ``loads`` takes what is added.
+        """
 
     def state(self, inputs: dict[str, ca.SX], moving: bool) -> BaseState:
-        """Its motion in symbols; at rest unless ``moving``."""
+        """Its motion in symbols; at rest unless ``moving``. ``inputs`` are symbols by name."""
 
         def read(name: str) -> ca.SX:
             value = getattr(self, name)
@@ -72,7 +75,7 @@ class Base:
         return BaseState(read("position"), quaternion, *rates)
 
     def describe(self, rod: Any) -> str:
-        """What is prescribed."""
+        """What is prescribed. ``rod`` is that of the scene."""
         given = [f"{f.name} {getattr(self, f.name)}" for f in fields(self) if getattr(self, f.name) != _ZERO]
         return f"base {', '.join(given) or 'at the origin'}"
 

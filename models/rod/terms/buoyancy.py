@@ -34,16 +34,19 @@ class Buoyancy:
         return ()
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add -rho_medium A g at every node."""
+        """Add -rho_medium A g at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         if self.density == 0.0:
             return
         loads.force -= spread(loads.gravity, self.density * motion.profile.area)
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Why it acts on nothing, if so: nothing among the ``terms`` has brought gravity."""
+        """Why it acts on nothing, if so: nothing among the ``terms`` has brought gravity.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         gravity = [t for t in terms if isinstance(t, Gravity) or not type(t).__module__.startswith(_OURS)]
         return None if gravity or self.density == 0.0 else "has no effect without gravity; add a Gravity"
 
     def describe(self, rod: Any) -> str:
-        """Density of the medium."""
+        """Density of the medium. ``rod`` is that of the scene."""
         return f"buoyancy in a medium of {self.density:g} kg/m^3"

@@ -71,14 +71,17 @@ class Chambers:
         return (Input(self.name, len(self.offsets)),)
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError for chambers that end within an element or would bend a planar rod out of its plane."""
+        """Raise ValueError for chambers that end within an element or would bend a planar rod out of its plane.
+
+        ``rod`` and ``rule``, its nodes, are those of the scene.
+        """
         n = nodes_before(self.end, rule, "Chambers")
         check_routes(self.offsets, rule, n, rod.length, "Chambers")
         if rod.strain_set.planar and any(np.any(sample(o, rule.nodes, rod.length)[0][1]) for o in self.offsets):
             raise ValueError("a planar rod takes chambers in its plane only; offsets must have y = 0")
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the active stress of every chamber."""
+        """Add the active stress of every chamber. ``motion`` is that of the rod; ``loads`` takes what is added."""
         pressure, n = loads.inputs[self.name], nodes_before(self.end, motion.rule, "Chambers")
         axis = ca.sparsify(ca.SX(ca.DM(np.outer([0.0, 0.0, 1.0], np.arange(motion.rule.n_nodes) < n))))
         for i, route in enumerate(self.offsets):
@@ -88,9 +91,12 @@ class Chambers:
             loads.stress_w -= columnwise_cross(r, push)
 
     def idle(self, rod: Rod, terms: tuple[Any, ...]) -> str | None:
-        """Why some act on nothing, if so: chambers about the axis of a rod that does not stretch."""
+        """Why some act on nothing, if so: chambers about the axis of a rod that does not stretch.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         return idle_on_the_axis(self.offsets, rod)
 
     def describe(self, rod: Any) -> str:
-        """Number and area."""
+        """Number and area. ``rod`` is that of the scene."""
         return f"{len(self.offsets)} pressure chambers, {1e6 * self.area:g} mm^2 each"

@@ -36,16 +36,19 @@ class KelvinVoigt:
         return ()
 
     def coefficient(self, component: int) -> float:
-        """Damping of one of the strains (w1, w2, w3, v1, v2, v3)."""
+        """Damping of one of the strains (w1, w2, w3, v1, v2, v3). ``component`` counts them from 0 to 5."""
         return (self.bending, self.bending, self.torsion, self.shear, self.shear, self.stretch)[component]
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Stress B w_t and B v_t."""
+        """Stress B w_t and B v_t. ``motion`` is that of the rod; ``loads`` takes what is added."""
         loads.stress_w += ca.mtimes(_diagonal(self, 0), motion.w_t)
         loads.stress_v += ca.mtimes(_diagonal(self, 3), motion.v_t)
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Which coefficients act on nothing, if any: those of strains that are not free in the ``rod``."""
+        """Which coefficients act on nothing, if any: those of strains that are not free in the ``rod``.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         parts = {"bending": (0, 1), "torsion": (2,), "shear": (3, 4), "stretch": (5,)}
         free = set(rod.strain_set.free)
         names = [name for name, strains in parts.items() if getattr(self, name) > 0.0 and not free & set(strains)]
@@ -54,7 +57,7 @@ class KelvinVoigt:
         return f"{' and '.join(names)}: no effect on a rod whose strains ({rod.strain_set.name}) do not include it"
 
     def describe(self, rod: Any) -> str:
-        """Coefficients."""
+        """Coefficients. ``rod`` is that of the scene."""
         return f"Kelvin-Voigt damping, bending {self.bending:g}, torsion {self.torsion:g} N m^2 s"
 
 
@@ -79,11 +82,17 @@ class Retardation:
         return ()
 
     def coefficient(self, component: int) -> float:
-        """Positive where the strain is damped: everywhere, unless the time is zero."""
+        """Positive where the strain is damped: everywhere, unless the time is zero.
+
+        ``component`` counts the strains from 0 to 5.
+        """
         return self.time
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Stress time K w_t and time K v_t at every node."""
+        """Stress time K w_t and time K v_t at every node.
+
+        ``motion`` is that of the rod; ``loads`` takes what is added.
+        """
         if motion.rates.nnz() == 0 or self.time == 0.0:
             return
         damping = ca.DM(self.time * motion.profile.stiffness)
@@ -91,7 +100,7 @@ class Retardation:
         loads.stress_v += damping[3:, :] * motion.v_t
 
     def describe(self, rod: Any) -> str:
-        """Time."""
+        """Time. ``rod`` is that of the scene."""
         return f"Kelvin-Voigt damping, retardation time {self.time:g} s"
 
 

@@ -46,14 +46,17 @@ class DistributedWrench:
         return tuple(v for v in (self.force, self.moment) if isinstance(v, Input))
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError where a function does not return three finite numbers."""
+        """Raise ValueError where a function does not return three finite numbers.
+
+        ``rod`` and ``rule``, its nodes, are those of the scene.
+        """
         for name in ("force", "moment"):
             value = getattr(self, name)
             if callable(value):
                 _sampled(value, rule.nodes.tolist(), f"DistributedWrench {name}")
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the loads at every node."""
+        """Add the loads at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         force, moment = self._at_nodes(self.force, motion, loads), self._at_nodes(self.moment, motion, loads)
         if self.follower:
             force, moment = motion.to_world(force), motion.to_world(moment)
@@ -67,13 +70,16 @@ class DistributedWrench:
         return ca.repmat(loads.read(value), 1, len(nodes))
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``."""
+        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         if callable(self.force) or callable(self.moment):
             return None
         return idle_wrench(self.force, self.moment, rod, terms)
 
     def describe(self, rod: Any) -> str:
-        """Force and moment per length."""
+        """Force and moment per length. ``rod`` is that of the scene."""
         kind = "follower" if self.follower else "dead"
         force, moment = ("f(s)" if callable(v) else v for v in (self.force, self.moment))
         return f"{kind} distributed wrench, force {force} N/m, moment {moment} N"

@@ -17,7 +17,11 @@ SPEED_FLOOR = 1e-6
 
 @dataclass(frozen=True)
 class LinearDrag:
-    """Force per length -c p_t with c in N s/m^2."""
+    """Force per length -c p_t with c in N s/m^2.
+
+    Args:
+        coefficient: c in N s/m^2.
+    """
 
     coefficient: float
 
@@ -30,19 +34,23 @@ class LinearDrag:
         return ()
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add -c p_t at every node."""
+        """Add -c p_t at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         if self.coefficient == 0.0:
             return
         loads.force -= self.coefficient * motion.velocity
 
     def describe(self, rod: Any) -> str:
-        """Coefficient."""
+        """Coefficient. ``rod`` is that of the scene."""
         return f"linear drag {self.coefficient:g} N s/m^2"
 
 
 @dataclass(frozen=True)
 class QuadraticDrag:
-    """Force per length -c |p_t| p_t with c in N s^2/m^3, the same in all directions."""
+    """Force per length -c |p_t| p_t with c in N s^2/m^3, the same in all directions.
+
+    Args:
+        coefficient: c in N s^2/m^3.
+    """
 
     coefficient: float
 
@@ -55,7 +63,7 @@ class QuadraticDrag:
         return ()
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add -c |p_t| p_t at every node."""
+        """Add -c |p_t| p_t at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         velocity = motion.velocity
         if self.coefficient == 0.0 or velocity.nnz() == 0 or velocity.is_zero():
             return
@@ -63,7 +71,7 @@ class QuadraticDrag:
         loads.force -= self.coefficient * ca.repmat(speed, 3, 1) * velocity
 
     def describe(self, rod: Any) -> str:
-        """Coefficient."""
+        """Coefficient. ``rod`` is that of the scene."""
         return f"quadratic drag {self.coefficient:g} N s^2/m^3"
 
 
@@ -96,7 +104,7 @@ class AnisotropicDrag:
         return ()
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the drag at every node."""
+        """Add the drag at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         unused = not any(getattr(self, item.name) for item in fields(self))
         if unused or motion.velocity.nnz() == 0 or motion.velocity.is_zero():
             return
@@ -107,7 +115,7 @@ class AnisotropicDrag:
         loads.force -= motion.to_world(ca.vertcat(force_n, force_t))
 
     def describe(self, rod: Any) -> str:
-        """Coefficients."""
+        """Coefficients. ``rod`` is that of the scene."""
         return (
             f"drag across {self.normal:g} N s/m^2, {self.normal_quadratic:g} N s^2/m^3, "
             f"along {self.tangential:g} N s/m^2, {self.tangential_quadratic:g} N s^2/m^3"

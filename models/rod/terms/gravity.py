@@ -25,15 +25,18 @@ class Gravity:
         return (self.acceleration,) if isinstance(self.acceleration, Input) else ()
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Weight per length rho A g at every node."""
+        """Weight per length rho A g at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         gravity = loads.read(self.acceleration)
         loads.gravity += gravity
         loads.force += spread(gravity, motion.profile.mass)
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Why it acts on nothing, if so: it is across the plane of a planar ``rod``."""
+        """Why it acts on nothing, if so: it is across the plane of a planar ``rod``.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         return idle_force(self.acceleration, rod, terms)
 
     def describe(self, rod: Any) -> str:
-        """Acceleration in m/s^2."""
+        """Acceleration in m/s^2. ``rod`` is that of the scene."""
         return f"gravity {self.acceleration} m/s^2"

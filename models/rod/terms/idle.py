@@ -13,7 +13,10 @@ ACROSS = "is across the plane of a planar rod and has no effect"
 
 
 def idle_force(force: Vector, rod: Rod, terms: Sequence[Term]) -> str | None:
-    """Why a force or an acceleration of the world acts on nothing, if so: it is across the plane of a planar rod."""
+    """Why a force or an acceleration of the world acts on nothing, if so: it is across the plane of a planar rod.
+
+    ``rod`` and ``terms`` are those of the scene.
+    """
     return idle_wrench(force, (0.0, 0.0, 0.0), rod, terms)
 
 

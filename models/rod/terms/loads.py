@@ -19,7 +19,12 @@ class NoEffect(UserWarning):
 
 @dataclass(frozen=True)
 class Input:
-    """A named input of the scene with ``size`` entries, in place of a fixed number."""
+    """A named input of the scene with ``size`` entries, in place of a fixed number.
+
+    Args:
+        name: of the input; terms that use the same name read the same input.
+        size: number of entries.
+    """
 
     name: str
     size: int
@@ -35,7 +40,7 @@ Vector = Sequence[float] | Input
 
 
 def checked_vector(value: Vector, name: str) -> Vector:
-    """Three finite numbers as a tuple, or an ``Input`` of size 3."""
+    """Three finite numbers as a tuple, or an ``Input`` of size 3. ``value`` is either; ``name`` is for messages."""
     if isinstance(value, Input):
         if value.size != 3:
             raise ValueError(f"{name} is an input of size {value.size}; expected size 3")
@@ -77,12 +82,18 @@ class Loads:
 
     @classmethod
     def none(cls, n_nodes: int, inputs: dict[str, ca.SX], moving: bool = True) -> Loads:
-        """No loads at all."""
+        """No loads at all.
+
+        ``n_nodes`` of the rod, symbols of the ``inputs`` by name, and whether it is ``moving`` (inertia counts).
+        """
         nodes, point = ca.SX(3, n_nodes), ca.SX(3, 1)
         return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, point, moving, inputs)
 
     def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
-        """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``."""
+        """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``.
+
+        ``motion`` is that of the rod.
+        """
         if motion.is_tip(s):
             self.tip_force += force
             self.tip_moment += moment
@@ -92,11 +103,11 @@ class Loads:
             self.stress_w -= motion.to_body(moment @ shares)
 
     def add_inertia_at(self, motion: Motion, s: float, force: ca.SX) -> None:
-        """Add an inertia force (3,) in N at arclength ``s``."""
+        """Add an inertia force (3,) in N at arclength ``s``. ``motion`` is that of the rod."""
         self.point_inertia += force @ ca.DM(shares_below(motion, s))
 
     def read(self, value: Vector) -> ca.SX:
-        """Symbol of an input, or the numbers themselves; zeros among them are not in the graph."""
+        """Symbol of an input, or the numbers themselves; zeros among them are not in the graph. ``value`` is either."""
         return self.inputs[value.name] if isinstance(value, Input) else ca.sparsify(ca.SX(ca.DM(list(value))))
 
 
@@ -109,13 +120,14 @@ class Term(Protocol):
     """
 
     @property
-    def inputs(self) -> tuple[Input, ...]: ...
+    def inputs(self) -> tuple[Input, ...]:
+        """Inputs that it reads."""
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the loads of this term for a motion of the rod."""
 
     def describe(self, rod: Any) -> str:
-        """One line for the table of the scene."""
+        """One line for the table of the scene. ``rod`` is that of the scene."""
 
 
 def shares_below(motion: Motion, s: float) -> Array:
@@ -132,19 +144,22 @@ def shares_below(motion: Motion, s: float) -> Array:
 
 
 def by_row(values: Array, rows: int) -> ca.SX:
-    """One number a node (K,) as a constant matrix (rows, K)."""
+    """One number a node (K,) as a constant matrix (rows, K). ``values`` are the numbers."""
     return ca.SX(ca.DM(np.tile(values, (rows, 1))))
 
 
 def spread(vector: ca.SX, values: Array) -> ca.SX:
-    """A vector (3,) times one number a node (K,): (3, K). Equal numbers are multiplied once."""
+    """A vector (3,) times one number a node (K,): (3, K). Equal numbers are multiplied once.
+
+    ``values`` are the numbers.
+    """
     if np.ptp(values) == 0.0:
         return ca.repmat(float(values[0]) * vector, 1, len(values))
     return vector @ ca.DM(values[None, :])
 
 
 def on_the_rod(s: float, length: float, name: str) -> float:
-    """``s``, which must be an arclength above 0 and at most the length of the rod."""
+    """``s``, which must be an arclength above 0 and at most the length of the rod. ``name`` is for messages."""
     if not 0.0 < s <= length * (1.0 + 1e-12):
         raise ValueError(f"{name} at s = {s:g} m; expected an arclength above 0 and at most L = {length:g} m")
     return s

@@ -24,6 +24,11 @@ class PointWrench:
     Components are in world axes (a dead load) or, with ``follower=True``, in the axes of the cross-section at ``s``.
     Below the point the rod carries the load and above it does not: exact where an element ends at ``s``, within the
     smoothness of the strains otherwise (its work is exact either way).
+
+    Args:
+        s: arclength in m.
+        force, moment: components in N and N m.
+        follower: whether they turn with the cross-section.
     """
 
     s: float
@@ -42,11 +47,11 @@ class PointWrench:
         return tuple(v for v in (self.force, self.moment) if isinstance(v, Input))
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError where ``s`` is off the rod."""
+        """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
         on_the_rod(self.s, rod.length, "PointWrench")
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the wrench at ``s``."""
+        """Add the wrench at ``s``. ``motion`` is that of the rod; ``loads`` takes what is added."""
         force, moment = loads.read(self.force), loads.read(self.moment)
         if self.follower:
             frame = motion.frame_at(self.s)
@@ -54,11 +59,14 @@ class PointWrench:
         loads.add_at(motion, self.s, ca.sparsify(force), ca.sparsify(moment))
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``."""
+        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         return idle_wrench(self.force, self.moment, rod, terms)
 
     def describe(self, rod: Any) -> str:
-        """Place, force and moment."""
+        """Place, force and moment. ``rod`` is that of the scene."""
         kind = "follower" if self.follower else "dead"
         return f"{kind} wrench at s = {self.s:g} m, force {self.force} N, moment {self.moment} N m"
 
@@ -90,12 +98,12 @@ class Spring:
         return (self.point,) if isinstance(self.point, Input) else ()
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError where ``s`` is off the rod."""
+        """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
         if self.s is not None:
             on_the_rod(self.s, rod.length, "Spring")
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the force at ``s``."""
+        """Add the force at ``s``. ``motion`` is that of the rod; ``loads`` takes what is added."""
         if self.stiffness == 0.0:
             return
         s = motion.rod.length if self.s is None else self.s
@@ -109,7 +117,7 @@ class Spring:
         loads.add_at(motion, s, force, ca.SX(3, 1))
 
     def describe(self, rod: Any) -> str:
-        """Ends and stiffness."""
+        """Ends and stiffness. ``rod`` is that of the scene."""
         place = "the tip" if self.s is None else f"s = {self.s:g} m"
         return f"spring from {place} to {self.point}, {self.stiffness:g} N/m, rest length {self.rest_length:g} m"
 
@@ -162,11 +170,14 @@ class PointMass:
         return ()
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError where ``s`` is off the rod."""
+        """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
         on_the_rod(self.s, rod.length, "PointMass")
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add weight m g and inertia -m a at the centre of mass, and the rate of its angular momentum."""
+        """Add weight m g and inertia -m a at the centre of mass, and the rate of its angular momentum.
+
+        ``motion`` is that of the rod; ``loads`` takes what is added.
+        """
         add_mass(motion, loads, self.s, self.mass, self.offset)
         if loads.moving and any(self.inertia):
             frame, j = motion.frame_at(self.s), ca.sparsify(ca.SX(ca.DM(list(self.inertia))))
@@ -174,7 +185,7 @@ class PointMass:
             loads.add_at(motion, self.s, ca.SX(3, 1), -frame @ (j * alpha + ca.cross(omega, j * omega)))
 
     def describe(self, rod: Any) -> str:
-        """Place and mass."""
+        """Place and mass. ``rod`` is that of the scene."""
         inertia = f", inertia {_short(self.inertia)} kg m^2" if any(self.inertia) else ""
         offset = f", offset {_short(self.offset)} m" if any(self.offset) else ""
         return f"mass {self.mass:g} kg at s = {self.s:g} m{inertia}{offset}"
@@ -186,6 +197,8 @@ def add_mass(
     """Weight and inertia of a mass in kg, a number or an expression, at arclength ``s`` and ``offset`` in m.
 
     ``offset`` is in the axes of the cross-section. Without mass nothing is added.
+
+    ``motion`` is that of the rod; ``loads`` takes what is added.
     """
     if not isinstance(mass, ca.SX) and mass == 0.0:
         return

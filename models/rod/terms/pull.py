@@ -68,11 +68,14 @@ class TendonTerm(ABC):
 
     @abstractmethod
     def apply(self, motion: Any, loads: Loads) -> None:
-        """Add the active stress of every tendon for a motion of the rod."""
+        """Add the active stress of every tendon for a motion of the rod.
+
+        ``motion`` is that of the rod; ``loads`` takes what is added.
+        """
 
     @abstractmethod
     def describe(self, rod: Any) -> str:
-        """One line for the table of the scene."""
+        """One line for the table of the scene. ``rod`` is that of the scene."""
 
     @abstractmethod
     def pull(self, rod: Rod, rule: Rule) -> Pull:

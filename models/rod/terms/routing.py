@@ -70,12 +70,15 @@ class Line:
         return (self.start[0] + s * slope[0], self.start[1] + s * slope[1])
 
     def slope(self, s: float) -> tuple[float, float]:
-        """(x', y'), the same everywhere."""
+        """(x', y'), the same everywhere. ``s`` in m."""
         return ((self.end[0] - self.start[0]) / self.length, (self.end[1] - self.start[1]) / self.length)
 
 
 def checked_routes(offsets: Sequence[Route], name: str) -> tuple[Route, ...]:
-    """Points as pairs of floats and functions as they are; at least one."""
+    """Points as pairs of floats and functions as they are; at least one.
+
+    ``offsets`` are routes; ``name`` of the term is for messages.
+    """
     if not any(callable(o) for o in offsets):
         points = finite_array(np.asarray(offsets), f"{name} offsets", (None, 2))
         if len(points) == 0:
@@ -106,7 +109,10 @@ def check_routes(routes: Sequence[Route], rule: Rule, n: int, length: float, nam
 
 
 def on_circle(offset: float, angles_deg: Sequence[float], name: str) -> list[list[float]]:
-    """Points (n, 2) on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
+    """Points (n, 2) on a circle of radius ``offset`` in m at ``angles_deg`` in degrees.
+
+    ``name`` of the term is for messages.
+    """
     positive(offset, f"{name} offset", "m")
     angles = np.deg2rad(finite_array(np.asarray(angles_deg), f"{name} angles_deg", (None,)))
     points: list[list[float]] = (offset * np.stack([np.cos(angles), np.sin(angles)], axis=1)).tolist()
@@ -148,7 +154,10 @@ def _slope(route: Callable[[float], Sequence[float]], s: float, h: float, length
 
 
 def nodes_before(end: float | None, rule: Rule, name: str) -> int:
-    """Number of nodes that a tendon or chamber passes before its ``end`` (None: the tip), which must end an element."""
+    """Number of nodes that a tendon or chamber passes before its ``end`` (None: the tip), which must end an element.
+
+    ``rule`` has the nodes of the rod; ``name`` of the term is for messages.
+    """
     if end is None:
         return rule.n_nodes
     if not np.any(np.isclose(end, rule.borders[1:], rtol=1e-9, atol=0.0)):

@@ -65,7 +65,10 @@ class Displacement:
         return softplus((length - unstretched) / (self.compliance * unstretched), smoothing)
 
     def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
-        """Length in m at which the tendon just carries nothing."""
+        """Length in m at which the tendon just carries nothing.
+
+        ``rest`` is the unpulled length in m, ``u`` the displacement in m; the path ``length`` in m does not matter.
+        """
         return rest - u
 
     def describe(self) -> str:
@@ -78,11 +81,14 @@ class Tension:
     """Each tendon is driven by its tension u_i in N, which is not negative: tendons do not push."""
 
     def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
-        """The input itself."""
+        """The input itself. ``u`` is the tension in N; path ``length`` and unpulled length ``rest`` do not matter."""
         return u
 
     def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
-        """The path length: a tendon driven by its tension is never slack."""
+        """The path length: a tendon driven by its tension is never slack.
+
+        Path ``length`` in m; unpulled length ``rest`` and tension ``u`` do not matter.
+        """
         return length
 
     def describe(self) -> str:
@@ -135,7 +141,10 @@ class Tendons(TendonTerm):
         end: float | None = None,
         friction: float = 0.0,
     ) -> Tendons:
-        """Tendons on a circle of radius ``offset`` in m at ``angles_deg`` in degrees."""
+        """Tendons on a circle of radius ``offset`` in m at ``angles_deg`` in degrees.
+
+        ``drive``, ``name``, ``end`` and ``friction`` as in the class.
+        """
         points = on_circle(offset, angles_deg, "Tendons")
         return cls([tuple(p) for p in points], drive, name, end, friction)
 
@@ -150,7 +159,10 @@ class Tendons(TendonTerm):
         end: float | None = None,
         friction: float = 0.0,
     ) -> Tendons:
-        """Tendons on helices of radius ``offset`` and ``pitch`` in m that start at ``angles_deg`` in degrees."""
+        """Tendons on helices of radius ``offset`` and ``pitch`` in m that start at ``angles_deg`` in degrees.
+
+        ``drive``, ``name``, ``end`` and ``friction`` as in the class.
+        """
         phases = np.deg2rad(finite_array(np.asarray(angles_deg), "Tendons angles_deg", (None,)))
         return cls([Helix(offset, pitch, phase) for phase in phases.tolist()], drive, name, end, friction)
 
@@ -166,7 +178,10 @@ class Tendons(TendonTerm):
         end: float | None = None,
         friction: float = 0.0,
     ) -> Tendons:
-        """Tendons at ``angles_deg`` with an offset from ``start`` at the base to ``end_offset`` at ``length``; in m."""
+        """Tendons at ``angles_deg`` with an offset from ``start`` at the base to ``end_offset`` at ``length``; in m.
+
+        ``drive``, ``name``, ``end`` and ``friction`` as in the class.
+        """
         directions = on_circle(1.0, angles_deg, "Tendons")
         lines = [Line((start * x, start * y), (end_offset * x, end_offset * y), length) for x, y in directions]
         return cls(lines, drive, name, end, friction)
@@ -177,7 +192,10 @@ class Tendons(TendonTerm):
         return (Input(self.name, len(self.offsets)),)
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the active stress of every tendon ; offers ``tension`` (at the base), ``length``, ``unpulled_length``."""
+        """Add the active stress of every tendon ; offers ``tension`` (at the base), ``length``, ``unpulled_length``.
+
+        ``motion`` is that of the rod; ``loads`` takes what is added.
+        """
         u, k = loads.inputs[self.name], motion.rule.n_nodes
         unpulled = self.unpulled_lengths(motion.rod, motion.rule)
         n = self._n_loaded(motion.rule)
@@ -220,7 +238,10 @@ class Tendons(TendonTerm):
         return np.array(lengths)
 
     def check(self, rod: Rod, rule: Rule) -> None:
-        """Raise ValueError where the tendons do not fit a rod."""
+        """Raise ValueError where the tendons do not fit a rod.
+
+        ``rod`` and ``rule``, its nodes, are those of the scene.
+        """
         n = self._n_loaded(rule)
         check_routes(self.offsets, rule, n, rod.length, "Tendons")
         for route in self.offsets:
@@ -229,7 +250,10 @@ class Tendons(TendonTerm):
                 raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
 
     def idle(self, rod: Rod, terms: tuple[Any, ...]) -> str | None:
-        """Why some act on nothing, if so: tendons along the axis of a rod that does not stretch."""
+        """Why some act on nothing, if so: tendons along the axis of a rod that does not stretch.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         return idle_on_the_axis(self.offsets, rod)
 
     def points(self, s: float, length: float) -> Array:
@@ -237,14 +261,17 @@ class Tendons(TendonTerm):
         return np.array([sample(route, np.array([s]), length)[0][:2, 0] for route in self.offsets])
 
     def pull(self, rod: Rod, rule: Rule) -> Pull:
-        """Displacements below the unpulled lengths, or tensions that are not negative."""
+        """Displacements below the unpulled lengths, or tensions that are not negative.
+
+        ``rod`` and ``rule``, its nodes, are those of the scene.
+        """
         return Pull(self.unpulled_lengths(rod, rule) if isinstance(self.drive, Displacement) else None)
 
     def _n_loaded(self, rule: Rule) -> int:
         return nodes_before(self.end, rule, "Tendons")
 
     def describe(self, rod: Any) -> str:
-        """Number, offset and drive."""
+        """Number, offset and drive. ``rod`` is that of the scene."""
         parallel = not any(callable(route) for route in self.offsets)
         radius = float(np.hypot(*self.points(0.0, rod.length).T).mean())
         end = "" if self.end is None else f", to s = {self.end:g} m"
@@ -258,6 +285,8 @@ def turned_angle(a: ca.SX, norm: ca.SX, motion: Motion, n: int) -> ca.SX:
 
     The world tangent R a / |a| turns by |a x (a' + w x a)| / |a|^2 a metre; a' is that of the polynomial through the
     nodes. Rounded over ``TURN_FLOOR`` / L where the path is straight.
+
+    ``norm`` (1, n) is |a|; ``motion`` is that of the rod.
     """
     rule = motion.rule
     rate = a @ ca.DM(rule.differentiation[:n, :n].T) + columnwise_cross(motion.w[:, :n], a)

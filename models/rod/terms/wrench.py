@@ -32,7 +32,7 @@ class TipWrench:
         return tuple(v for v in (self.force, self.moment) if isinstance(v, Input))
 
     def apply(self, motion: Motion, loads: Loads) -> None:
-        """Add the wrench at the tip."""
+        """Add the wrench at the tip. ``motion`` is that of the rod; ``loads`` takes what is added."""
         force, moment = loads.read(self.force), loads.read(self.moment)
         if self.follower:
             force, moment = motion.tip_frame @ force, motion.tip_frame @ moment
@@ -40,10 +40,13 @@ class TipWrench:
         loads.tip_moment += moment
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``."""
+        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``.
+
+        ``rod`` and ``terms`` are those of the scene.
+        """
         return idle_wrench(self.force, self.moment, rod, terms)
 
     def describe(self, rod: Any) -> str:
-        """Force and moment."""
+        """Force and moment. ``rod`` is that of the scene."""
         kind = "follower" if self.follower else "dead"
         return f"{kind} tip wrench, force {self.force} N, moment {self.moment} N m"
