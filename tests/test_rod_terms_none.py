@@ -200,6 +200,29 @@ def test_what_leaves_the_rod_is_refused_in_one_line(term: Any, part: str) -> Non
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "added", "part"),
+    [
+        ("tip_force", ca.SX([0.0, np.nan, 0.0]), "loads.tip_force NaN or infinite"),
+        ("force", ca.SX.ones(3, 3), "does not fit the loads"),
+        ("tip_moment", ca.SX.ones(2), "does not fit the loads"),
+    ],
+)
+def test_what_a_users_term_adds_is_checked(name: str, added: ca.SX, part: str) -> None:
+    class Own:
+        inputs = ()
+
+        def apply(self, motion: Any, loads: Any) -> None:
+            setattr(loads, name, getattr(loads, name) + added)
+
+        def describe(self, scene_rod: Any) -> str:
+            return "own"
+
+    with pytest.raises(ValueError, match=part) as error:
+        _ = rod.Scene(body(), Own()).static_balance[-1].residual
+    assert "\n" not in str(error.value) and "Own.apply" in str(error.value)
+
+
 def test_a_line_may_go_on_beyond_the_tendon() -> None:
     backbone = body(elements=(0.2, 0.2))
     rod.Scene(backbone, rod.Tendons([rod.Line((0.01, 0.0), (0.005, 0.0), 0.2)], end=0.2))

@@ -57,7 +57,7 @@ def random_targets(arm: TendonArm, n: int, rng: np.random.Generator, law: str = 
     "zero-sum": ``arm.rest_inputs`` plus :func:`random_differential`; "independent": each tendon uniformly between
     minus and plus ``arm.amplitude``, so that half of the tendons are slack.
 
-    ``arm`` gives rest and amplitude, ``rng`` draws.
+    ``arm`` gives rest and amplitude, ``rng`` draws; ``law`` is one of :data:`LAWS`.
     """
     if one_of(law, "law", LAWS) == "independent":
         return rng.uniform(-arm.amplitude, arm.amplitude, size=(n, arm.scene.n_inputs))

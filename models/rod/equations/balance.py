@@ -58,7 +58,7 @@ class Balance:
         """Loads of all the terms."""
         loads = Loads.none(self.rule.n_nodes, self.inputs, self.inertia)
         for term in sorted(self.terms, key=lambda t: not isinstance(t, Gravity)):  # what has weight reads the gravity
-            term.apply(self.motion, loads)
+            loads.add(term, self.motion)
         return loads
 
     @cached_property

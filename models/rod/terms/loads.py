@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
@@ -88,6 +88,29 @@ class Loads:
         """
         nodes, point = ca.SX(3, n_nodes), ca.SX(3, 1)
         return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, point, moving, inputs)
+
+    def add(self, term: Term, motion: Motion) -> None:
+        """Let a ``term`` add what it does to a rod in ``motion``.
+
+        Raises ValueError where what it adds has another shape than the sum, or is not a number.
+        """
+        sums = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), ca.SX)}
+        try:
+            term.apply(motion, self)
+        except (RuntimeError, NotImplementedError) as error:
+            reason = " ".join(str(error).split())[-160:]
+            raise ValueError(f"{type(term).__name__}.apply adds what does not fit the loads: ...{reason}") from error
+        for name, before in sums.items():
+            after = ca.SX(getattr(self, name))
+            if after.shape != before.shape:
+                raise ValueError(
+                    f"{type(term).__name__}.apply makes loads.{name} {after.shape}; expected {before.shape}"
+                )
+            own = not type(term).__module__.startswith("pisplit.")
+            entries: list[Any] = after.nonzeros() if own else []
+            constants = [float(e) for e in entries if e.is_constant()]
+            if not np.all(np.isfinite(constants)):
+                raise ValueError(f"{type(term).__name__}.apply makes loads.{name} NaN or infinite; expected numbers")
 
     def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
         """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``.
