@@ -19,8 +19,13 @@ class ControlSystem:
     """x' = f(x, u) + h(x, u) (paper, eq. linearly_separable_diffeq), f known to the identification, h not.
 
     x (n,) and u (m,) are symbols (SX or MX), ``known`` and ``unknown`` expressions (n,) in them.
-    ``known``, ``unknown`` and ``rhs`` (eq. x_diff_eq) are then CasADi Functions (x, u) -> (n,). Names default to x1,
-    u1, ...; units are texts ("m/s"), empty by default.
+    ``known``, ``unknown`` and ``rhs`` (eq. x_diff_eq) are then CasADi Functions (x, u) -> (n,).
+
+    Args:
+        x, u: symbols of states and inputs.
+        known, unknown: f and h.
+        state_names, input_names: one text an entry; x1, u1, ... when not given.
+        state_units, input_units: one text an entry, such as "m/s"; empty when not given.
 
     Raises ValueError if x or u is no column of symbols, or if an expression has another size or other free symbols.
     """
