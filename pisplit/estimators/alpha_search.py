@@ -27,8 +27,9 @@ MAX_HELD_OUT = 4
 
 @dataclass(frozen=True)
 class AlphaSearch:
-    """alphas (G,) tried, their median squared errors (G,) of held-out roll-outs in scaled states, and the choice.
+    """alphas (G,) tried, their median squared errors (G,) of held-out roll-outs in scaled states.
 
+    chosen     the choice
     held_out   numbers of the episodes that were held out
     unbounded  alphas that were passed over: their models do not stay bounded under the excitation
     bounded    whether that of the choice does; None if nobody asked
@@ -49,7 +50,10 @@ class AlphaSearch:
 
 @dataclass(frozen=True)
 class Choice:
-    """A fit to all pairs with the alpha that was chosen for it, and whether it stays bounded (None: nobody asked)."""
+    """A ``fit`` to all pairs, its ``alpha``, and the ``search`` that chose it (None: it was given).
+
+    ``bounded`` says whether it stays so, None if nobody asked.
+    """
 
     fit: SplitFit
     alpha: float

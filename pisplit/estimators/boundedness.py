@@ -50,7 +50,9 @@ class Excitation:
 
     @classmethod
     def of(cls, inputs: ArrayLike, data: Sequence[Pairs], quantities: Sequence[str]) -> Excitation:
-        """Input sequences (E, T, m) beginning in the largest of ``data``; limits from all of them, by quantity (n,).
+        """Input sequences (E, T, m) beginning in the largest of ``data``; limits from all of them.
+
+        ``quantities`` (n,) are those of the states: states of one quantity share a limit.
 
         Raises ValueError for inputs of another shape.
         """
@@ -68,7 +70,7 @@ class Excitation:
         )
 
     def bounds(self, model: LiftedModel) -> bool:
-        """True if no state of any roll-out exceeds its limit."""
+        """True if no state of any roll-out of ``model`` exceeds its limit."""
         starts = [model.lift(x, u) for x, u in zip(self.x_history, self.u_history, strict=True)]
         for first in range(0, len(starts), BATCH):  # most models that are not bounded show it at once
             part = slice(first, first + BATCH)
@@ -102,7 +104,9 @@ def transition_radius(theta: Dictionary, k: Array) -> float:
 
 
 def limited_rows(theta: Dictionary, k: Array, scale: Array, bound: float) -> Array:
-    """Learned rows (S, M) whose A has a spectral radius of at most ``bound``, close to ``k`` in scaled columns (M,).
+    """Learned rows (S, M) whose A has a spectral radius of at most ``bound``, close to ``k``.
+
+    Close is meant in columns of ``theta`` divided by ``scale`` (M,).
 
     W (left Schur vectors of the modes outside, in scaled columns) obeys W^T A = T W^T. Adding F W^T to the learned
     rows E makes T + W^T E F of T and changes no other eigenvalue, nor what motions in the other modes do. F is the

@@ -77,7 +77,7 @@ class DirectEDMDc(Estimator):
         equilibria: Equilibria | None = None,
         excitation: ArrayLike | None = None,
     ) -> _D:
-        """Fit to all pairs of the episodes, or to ``pairs`` drawn from them. Returns itself.
+        """Fit to all pairs of the episodes ``d1``, or to ``pairs`` drawn from them. Returns itself.
 
         ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests, fixed points of the whole map; each
         counts as one pair, with the past equal to the present.

@@ -72,9 +72,9 @@ def generator_edmd(
     ``theta``: dictionary of M columns; ``samples``: D2, with f; ``scale`` (M,): column scales; ``alpha`` and
     ``options``: the penalty. J(X, U) = J_x Theta . f is one forward-mode product a sample (paper, eq. jacob_solve).
 
-    f acts on the present: delays, inputs and the constant have zero rows, since u is constant over a step (paper, eq.
-    lie_deriv); delays also have zero columns where the past is absent. Inputs that do not vary over the samples have
-    zero columns, because a constant input cannot be told from the constant.
+    f acts on the present: delays, inputs and the constant have zero rows, since u is constant over a step
+    (paper, eq. lie_deriv); delays also have zero columns where the past is absent. Inputs that do not vary
+    over the samples have zero columns, because a constant input cannot be told from the constant.
     """
     check_samples(theta, samples)
     return regressed_generator(theta, generator_moments(theta, samples, scale, options), scale, alpha, options)
@@ -99,14 +99,20 @@ def static_columns(theta: Dictionary, options: KnownOptions) -> Index:
 
 
 def static_rows(theta: Dictionary, samples: PhaseSamples, options: KnownOptions) -> Array:
-    """Theta (N, K) of ``samples``, in the K columns of :func:`static_columns` (paper, eq. theta_matrix)."""
+    """Theta (N, K) of ``samples``, in the K columns of ``theta`` that they have (paper, eq. theta_matrix).
+
+    These are the :func:`static_columns` of ``options``.
+    """
     if options.past == "equal":
         return theta.evaluate_static(samples.x, samples.u)
     return np.hstack([theta.present(samples.x), theta.features(samples.u)])
 
 
 def generator_moments(theta: Dictionary, samples: PhaseSamples, scale: Array, options: KnownOptions) -> Moments:
-    """Moments of [static columns | J_x Theta . f of the present columns] of ``samples``, divided by ``scale`` (M,)."""
+    """Moments of [static columns | J_x Theta . f of the present columns] of ``samples``, divided by ``scale`` (M,).
+
+    ``theta`` and ``options`` say which columns these are.
+    """
     return static_moments(
         theta, samples, scale, options, "generator", lambda part: theta.present_derivative(part.x, part.xdot)
     )
@@ -115,7 +121,10 @@ def generator_moments(theta: Dictionary, samples: PhaseSamples, scale: Array, op
 def regressed_generator(
     theta: Dictionary, moments: Moments, scale: Array, alpha: float, options: KnownOptions
 ) -> Array:
-    """L (M, M) of :func:`generator_edmd` from ``moments`` of :func:`generator_moments`, and the rows that are known."""
+    """L (M, M) of :func:`generator_edmd` from ``moments`` of :func:`generator_moments`, and the rows that are known.
+
+    ``theta``, ``scale`` (M,), ``alpha`` and ``options`` are those of :func:`generator_edmd`.
+    """
     generator = regressed_rows(theta, moments, alpha, np.zeros(theta.n_columns), options)
     for column, row in known_rows(theta, scale, options).items():
         generator[column] = row
@@ -153,8 +162,8 @@ def static_moments(
 def regressed_rows(theta: Dictionary, moments: Moments, alpha: float, diagonal: Array, options: KnownOptions) -> Array:
     """Rows (M, M) of a known operator: targets of the learned columns regressed, the others ``diagonal`` (M,).
 
-    ``moments`` are of [static columns | targets of the present columns] on scaled columns; ``alpha`` weighs the penalty
-    of ``options``, which the constant does not carry.
+    ``moments`` are of [static columns | targets of the present columns] on scaled columns of ``theta``;
+    ``alpha`` weighs the penalty of ``options``, which the constant does not carry.
     """
     learned, used = theta.learned_columns, static_columns(theta, options)
     matrix = np.diag(diagonal)
@@ -175,7 +184,7 @@ def regressed_rows(theta: Dictionary, moments: Moments, alpha: float, diagonal: 
 
 
 def known_rows(theta: Dictionary, scale: Array, options: KnownOptions) -> dict[int, Array]:
-    """The known rows (M,) of the generator in ``options`` by position, on columns divided by ``scale`` (M,)."""
+    """The known rows (M,) of the generator in ``options`` by position in ``theta``, on columns over ``scale`` (M,)."""
     names, found = list(theta.column_names), {}
     learned = {names[i]: int(i) for i in theta.learned_columns}
     static = {names[i]: int(i) for i in static_columns(theta, options)}

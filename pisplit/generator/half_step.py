@@ -43,8 +43,9 @@ OR_RIDGE = ", or else penalty='ridge', which never inverts K_f"
 
 @dataclass(frozen=True)
 class HalfStep:
-    """K_f(dt/2) (M, M) on columns divided by their scales, identity on the constant, on delays and on inputs.
+    """The known half step, on columns divided by their scales.
 
+    K          K_f(dt/2) (M, M), identity on the constant, on delays and on inputs
     kind       "generator", "first-order" or "flow"
     reason     why this kind was taken
     generator  L (M, M) on scaled columns [1/s], or None if the flow was asked for

@@ -14,7 +14,9 @@ NEGLIGIBLE = 1e-8
 
 
 def with_products(theta: Dictionary, half: Array, scale: Array) -> Array:
-    """K_f (M, M) on [psi; phi; u_1 psi_J; ..; u_m psi_J] from that on [psi; phi], both on scaled columns.
+    """K_f (M, M) on [psi; phi; u_1 psi_J; ..; u_m psi_J] from ``half``, that on [psi; phi], both on scaled columns.
+
+    ``theta`` is the bilinear dictionary of M columns, ``scale`` (M,) their units.
 
     d/dt (u_i psi_J) = u_i L_f psi: row u_i psi_j of K_f is u_i times row psi_j. It stays in the dictionary if f moves
     psi_J within psi_J and does not depend on the inputs; u_i times the constant is the input itself. Raises ValueError

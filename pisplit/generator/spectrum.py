@@ -55,7 +55,7 @@ class Spectrum:
         return np.asarray(self.residuals > tolerance)
 
     def report(self, tolerance: float = SPURIOUS_RESIDUAL) -> tuple[str, ...]:
-        """One text for every spurious eigenpair, the fastest growing first."""
+        """One text for every eigenpair that is spurious by ``tolerance``, the fastest growing first."""
         found = np.flatnonzero(self.spurious(tolerance))
         order = found[np.argsort(-self.values[found].real, kind="stable")]
         return tuple(
@@ -113,6 +113,8 @@ def spectrum(
     generator: Array, theta: Array, lie: Array, scale: Array, names: Sequence[str], n_samples: int
 ) -> Spectrum:
     """Eigenpairs of ``generator`` (M, M), which maps scaled columns, with residuals on data.
+
+    ``names`` (M,) are those of the columns, ``n_samples`` is the number of samples behind the rows.
 
     theta (r, M) and lie (r, M) are Theta / scale and J Theta . f / scale, a sample a row, or a triangular factor of
     both side by side: with G = Theta^T Theta, A = Theta^T (J Theta f), L = (J Theta f)^T (J Theta f) the squared

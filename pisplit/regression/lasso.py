@@ -22,7 +22,10 @@ ROUNDING = 1e-8
 
 
 def alpha_max(a: Array, y: Array, prior: Array | None = None, free: Mask | None = None) -> float:
-    """Smallest alpha for which the LASSO answer is the prior: 2 max |A^T (Y - A prior^T)| over the free entries."""
+    """Smallest alpha for which the LASSO answer is the prior: 2 max |A^T (Y - A prior^T)| over the free entries.
+
+    ``a`` (N, M), ``y`` (N, S), ``prior`` (S, M, default zero), ``free`` (S, M): entries that may differ from it.
+    """
     start = prior_or_zero(a, y, prior)
     correlation = np.abs((y - a @ start.T).T @ a)
     return float(2.0 * correlation[free_entries(start, free)].max(initial=0.0))
@@ -39,6 +42,7 @@ def lasso(
 ) -> Regression:
     """K = argmin |A K^T - Y|^2 + alpha |K - prior|_1 (the objective that the paper prints, eq. of "Regularization").
 
+    ``a`` (N, M), ``y`` (N, S); ``prior`` (S, M), default zero; ``free`` (S, M): entries that may differ from it.
     ``solver``: "active-set" (all targets on one Gram matrix), "cvxpy" (reference, one convex problem a target), or
     "auto": the active set, then cvxpy for targets whose relative duality gap is above 1e-6. ``start`` (S, M) is a warm
     start for the active set. alpha = 0 is least squares. Warns if a gap stays above 1e-6.
@@ -70,7 +74,10 @@ def lasso(
 def lasso_path(
     a: Array, y: Array, alphas: Iterable[float], prior: Array | None = None, free: Mask | None = None
 ) -> tuple[Regression, ...]:
-    """LASSO for every alpha, in the order given; solved from the largest to the smallest, each from the one before."""
+    """LASSO for each of ``alphas``, in their order; solved from the largest to the smallest, each from the one before.
+
+    ``a``, ``y``, ``prior`` and ``free`` as in :func:`lasso`.
+    """
     weights = [non_negative(alpha, "alpha") for alpha in alphas]
     size = a.shape[1]
     rows = triangular_factor(np.hstack([a, y])) if len(a) > 2 * (size + y.shape[1]) else np.hstack([a, y])
@@ -83,7 +90,7 @@ def lasso_path(
 
 
 def composed_lasso(f: Array, a: Array, y: Array, alpha: float, solver: str = "auto") -> Regression:
-    """H (r, M) = argmin |A H^T F^T - Y|^2 + alpha |H|_1 for a known F (S, r), A (N, M) and Y (N, S).
+    """H (r, M) = argmin |A H^T F^T - Y|^2 + alpha |H|_1 for a known ``f`` (S, r), ``a`` (N, M) and ``y`` (N, S).
 
     One LASSO of all r M entries, on the Kronecker product of the triangles of A and F; ``solver`` as in :func:`lasso`.
     """

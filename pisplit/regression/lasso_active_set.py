@@ -23,7 +23,7 @@ MAX_STEPS, MAX_STALLS = 5000, 4
 
 
 def solve_by_active_set(r: Array, b: Array, alpha: float, start: Array | None = None) -> Array:
-    """K (S, M) with rows argmin |R k - b_i|^2 + alpha |k|_1 for R (M', M) and b (M', S).
+    """K (S, M) with rows argmin |R k - b_i|^2 + alpha |k|_1 for ``r`` (M', M) and ``b`` (M', S).
 
     ``start`` (S, M) is a warm start: the answer for another alpha. Targets are solved one by one, so that the answer of
     one does not depend on the others.

@@ -15,7 +15,7 @@ VIOLATION = 1e-9
 
 
 def solve_by_cvxpy(r: Array, b: Array, alpha: float, targets: Sequence[int] | Index | None = None) -> Array:
-    """K (S, M) with rows argmin |R k - b_i|^2 + alpha |k|_1 for R (M', M) and b (M', S), by Clarabel through cvxpy.
+    """K (S, M) with rows argmin |R k - b_i|^2 + alpha |k|_1 for ``r`` (M', M), ``b`` (M', S), by cvxpy (Clarabel).
 
     The convex problem is solved on a working set of columns, which grows until every other column satisfies its
     optimality condition with a zero coefficient; each answer is made exact on its support. Only ``targets`` (default

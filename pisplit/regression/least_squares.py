@@ -9,12 +9,18 @@ from pisplit.regression.multi_target import Array, Mask, Regression, patterns, p
 
 
 def least_squares(a: Array, y: Array, prior: Array | None = None, free: Mask | None = None) -> Regression:
-    """K nearest to the prior (default 0) among the minimisers of |A K^T - Y|^2, by singular values."""
+    """K (S, M) nearest to the prior (default 0) among the minimisers of |A K^T - Y|^2, by singular values.
+
+    ``a`` (N, M), ``y`` (N, S), ``prior`` (S, M); ``free`` (S, M): entries that may differ from it.
+    """
     return ridge(a, y, 0.0, prior, free)
 
 
 def ridge(a: Array, y: Array, alpha: float, prior: Array | None = None, free: Mask | None = None) -> Regression:
-    """K = argmin |A K^T - Y|^2 + alpha |K - prior|^2 (Frobenius norms), by singular values of A."""
+    """K (S, M) = argmin |A K^T - Y|^2 + alpha |K - prior|^2 (Frobenius norms), by singular values of A.
+
+    ``a`` (N, M), ``y`` (N, S), ``prior`` (S, M, default zero); ``free`` (S, M): entries that may differ from it.
+    """
     non_negative(alpha, "alpha")
     start = prior_or_zero(a, y, prior)
     result, ranks = start.copy(), [0]
@@ -28,7 +34,7 @@ def ridge(a: Array, y: Array, alpha: float, prior: Array | None = None, free: Ma
 
 
 def composed_ridge(f: Array, a: Array, y: Array, alpha: float) -> Regression:
-    """H (r, M) = argmin |A H^T F^T - Y|^2 + alpha |H|^2 for a known F (S, r), in closed form.
+    """H (r, M) = argmin |A H^T F^T - Y|^2 + alpha |H|^2 for a known ``f`` (S, r), ``a`` (N, M) and ``y`` (N, S).
 
     With F = U s V^T and A = P t Q^T the unknowns separate:
     (V^T H Q)_ij = s_i t_j (U^T Y^T P)_ij / (s_i^2 t_j^2 + alpha).

@@ -22,7 +22,7 @@ BLOCK_BYTES = 8_000_000
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean (k,) and triangular factor R (r <= k, k) of N samples of k columns: R^T R = sum (a - mean)(a - mean)^T.
+    """Mean (k,) and triangular factor R (r <= k, k) of n_samples of k columns: R^T R = sum (a - mean)(a - mean)^T.
 
     Regressions on R give the same answer as on the centred data. R comes from orthogonal transformations, so the
     condition number is that of the data, where a Gram matrix would have its square.
@@ -38,7 +38,7 @@ class Moments:
         return np.sqrt((self.factor**2).sum(axis=0) / self.n_samples)
 
     def rows(self, centred: bool) -> Array:
-        """Rows (r, k) or (r + 1, k) that stand for the data in a regression, about the mean or about zero."""
+        """Rows (r, k) or (r + 1, k) that stand for the data in a regression, about the mean if ``centred``, or zero."""
         if centred:
             return self.factor
         return np.vstack([np.sqrt(self.n_samples) * self.mean, self.factor])

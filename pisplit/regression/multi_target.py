@@ -32,7 +32,7 @@ class Regression:
 
 
 def prior_or_zero(a: Array, y: Array, prior: Array | None) -> Array:
-    """The prior (S, M) of a regression of Y (N, S) on A (N, M); zero if none is given."""
+    """The prior (S, M) of a regression of ``y`` (N, S) on ``a`` (N, M); zero if none is given."""
     shape = (y.shape[1], a.shape[1])
     if prior is None:
         return np.zeros(shape)
@@ -42,7 +42,7 @@ def prior_or_zero(a: Array, y: Array, prior: Array | None) -> Array:
 
 
 def free_entries(prior: Array, free: Mask | None) -> Mask:
-    """The mask (S, M) of the entries that may differ from the prior; all of them if none is given."""
+    """The mask (S, M) of the entries that may differ from the ``prior``: ``free``, or all of them if none is given."""
     if free is None:
         return np.ones(prior.shape, dtype=bool)
     if free.shape != prior.shape:
@@ -51,7 +51,7 @@ def free_entries(prior: Array, free: Mask | None) -> Mask:
 
 
 def patterns(prior: Array, free: Mask | None) -> Iterator[tuple[Index, Index]]:
-    """Targets that share their free entries, and these entries: each group is one regression."""
+    """Targets that share their ``free`` entries of the ``prior``, and these entries: each group is one regression."""
     mask = free_entries(prior, free)
     if mask.all() and mask.size:
         yield np.arange(len(mask)), np.arange(mask.shape[1])

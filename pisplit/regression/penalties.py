@@ -37,12 +37,18 @@ def absolute_weight(alpha: float, relative: bool | str, unit: float, n_samples: 
 
 
 def penalised(a: Array, y: Array, weight: float, penalty: str, solver: str = "auto") -> Regression:
-    """K (S, M) = argmin |A K^T - Y|^2 + weight |K| for A (N, M) and Y (N, S), by "ridge" or "lasso" (``solver``)."""
+    """K (S, M) = argmin |A K^T - Y|^2 + weight |K| for ``a`` (N, M) and ``y`` (N, S).
+
+    ``penalty``: "ridge", or "lasso" by ``solver`` (:func:`pisplit.regression.lasso`); a weight of 0 is least squares.
+    """
     if penalty == "lasso" and weight > 0.0:
         return lasso(a, y, weight, solver=solver)
     return ridge(a, y, weight)
 
 
 def unit_weight(a: Array, y: Array, penalty: str) -> float:
-    """What weights are relative to: for "lasso" the smallest one with K = 0, for "ridge" the mean of |A|^2 a column."""
+    """What weights of a ``penalty`` in a regression of ``y`` on ``a`` are relative to.
+
+    For "lasso" the smallest weight with K = 0, for "ridge" the mean of |A|^2 a column.
+    """
     return alpha_max(a, y) if penalty == "lasso" else float((a**2).sum()) / a.shape[1]

@@ -65,7 +65,7 @@ class RecursiveRegression:
     def solve(
         self, alpha: float = 0.0, penalty: str = "ridge", prior: Array | None = None, solver: str = "auto"
     ) -> Regression:
-        """Least squares, "ridge" or "lasso" on all samples so far, with the weight ``alpha`` of |K - prior|.
+        """Regression on all samples so far, with the weight ``alpha`` of a ``penalty`` (ridge or lasso) on K - prior.
 
         ``prior`` (S, M), default zero; ``solver`` of a LASSO as in :func:`pisplit.regression.lasso`.
         """

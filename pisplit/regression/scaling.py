@@ -15,7 +15,7 @@ SCALINGS = ("quantity", "column")
 
 
 def column_scales(std: Array, quantities: Sequence[str], scale: str | None = "quantity") -> Array:
-    """Scales (k,) of columns with standard deviations ``std`` (k,) about their means.
+    """Scales (k,) of columns with standard deviations ``std`` (k,) about their means and physical ``quantities`` (k,).
 
     "quantity": the root mean square of ``std`` over the columns of one quantity; "column": each its own; None: 1.
     A quantity that does not vary has scale 1.

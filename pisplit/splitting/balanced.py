@@ -39,6 +39,8 @@ class Balanced:
     residual is that of the composed map, F is never inverted. Gains are those of the kick: 1 + dt P H D stands for
     exp(dt P H_h D). A large alpha leaves the known part, H = 0.
 
+    context  what it may use (:class:`pisplit.splitting.SplitContext`)
+
     Source: balanced splitting after Speth, Green, MacNamara and Strang, SIAM J. Numer. Anal. 51 (2013).
     """
 

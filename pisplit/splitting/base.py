@@ -107,7 +107,7 @@ class SplitFit:
 
     @classmethod
     def of(cls, context: SplitContext, rows: Array, unknown: Unknown, details: Mapping[str, Any]) -> SplitFit:
-        """The fit whose learned ``rows`` (S, M) are on the scaled columns of ``context``; facts of ``unknown`` too."""
+        """The fit of learned ``rows`` (S, M) on scaled columns of ``context``; ``details`` and those of ``unknown``."""
         k = rows * context.scale[context.theta.learned_columns][:, None] / context.scale
         return cls(k, unknown.alpha, unknown.rank, unknown.gap, {**details, **unknown.details})
 
@@ -119,17 +119,18 @@ class Splitting(Protocol[KnownT]):
         """The known part from phase samples: lines 1 and 2."""
 
     def unknown(self, k_f: KnownT, moments: Moments, alpha: float) -> Unknown:
-        """The unknown part from ``moments`` of pairs, beside the known one ``k_f``: line 3."""
+        """The unknown part from ``moments`` of pairs, beside the known one ``k_f``, for a weight ``alpha``: line 3."""
 
     def composed(self, k_f: KnownT, k_h: Unknown) -> SplitFit:
-        """The operator of both parts: line 4."""
+        """The operator of both parts, ``k_f`` known and ``k_h`` learned: line 4."""
 
 
 def pair_moments(theta: Dictionary, pairs: Pairs, equilibria: tuple[Array, Array] | None = None) -> Moments:
     """Moments of [Theta(k) | learned columns of psi(k+1)] (M + S columns) of ``pairs``, accumulated in blocks.
 
-    Theta(X, U) and Theta(X', U) are the matrices of the paper, eq. theta_matrix, a sample a row. ``equilibria``: x
-    (N, n) and u (N, m) at which the actuated system rests; each counts as a pair that maps to itself.
+    ``theta`` has M columns, S of them learned. Theta(X, U) and Theta(X', U) are those of the paper (eq. theta_matrix),
+    a sample a row. ``equilibria``: x (N, n) and u (N, m) at which the actuated system rests; each counts as a pair that
+    maps to itself.
     """
 
     def blocks() -> Iterator[Array]:

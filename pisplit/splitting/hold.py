@@ -58,6 +58,8 @@ class Hold:
     ``alpha`` is the weight of a second regression, K = argmin |K Theta - psi'|^2 + alpha |K - K_0|, toward the physical
     map K_0: large alpha keeps K_0, alpha = 0 is EDMDc. ``penalty`` is ridge, |K - K_0|^2, or a LASSO, |K - K_0|_1: a
     sparse departure from the physical map.
+
+    context  what it may use (:class:`pisplit.splitting.SplitContext`)
     """
 
     def __init__(self, context: SplitContext) -> None:

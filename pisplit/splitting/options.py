@@ -30,14 +30,14 @@ def check_names(options: Mapping[str, Any], split: str) -> None:
 
 
 def check_options(context: SplitContext, split: str) -> None:
-    """Raise ValueError for an option that ``split`` does not know, and for delays that it cannot take."""
+    """Raise ValueError for options of ``context`` that ``split`` does not know, and for delays that it cannot take."""
     check_names(context.options, split)
     if context.theta.state_delays or context.theta.input_delays > 1:
         raise ValueError(f"split={split!r} takes Delays(inputs=1) or no delays; the state of f has no past")
 
 
 def generator_samples(context: SplitContext, split: str) -> PhaseSamples:
-    """Samples of f for the generator; all phase samples given must be of this system."""
+    """Samples of f for the generator of ``split``; all that ``context`` holds must be of this system."""
     theta = context.theta
     for name, samples in (("d2", context.samples), ("options['tangent']", context.options.get("tangent"))):
         if samples is None and name != "d2":
@@ -57,7 +57,7 @@ def generator_samples(context: SplitContext, split: str) -> PhaseSamples:
 
 
 def ports(context: SplitContext) -> Array:
-    """Directions (S, r) in which h acts: those given, or unit vectors of ``rows`` (all learned columns)."""
+    """Directions (S, r) in which h acts: those of ``context``, or unit vectors of its rows (all learned columns)."""
     options: Any = context.options
     size = len(context.theta.learned_columns)
     if "ports" in options:
@@ -71,7 +71,7 @@ def ports(context: SplitContext) -> Array:
 
 
 def directions(given: Any, name: str, shape: tuple[int | None, int | None]) -> Array:
-    """At least one direction, none of them zero."""
+    """The option ``name``, ``given`` with a ``shape`` of one free side: at least one direction, none of them zero."""
     array = finite_array(given, f"options[{name!r}]", shape)
     axis = shape.index(None)
     if array.shape[axis] == 0 or not np.abs(array).max(axis=1 - axis).all():
