@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.data import PaperData
-from common.protocol import Draw, Prediction, evaluate, pairs_at, random_pairs, summary
+from common.protocol import Draw, Prediction, all_pairs, evaluate, pairs_at, random_pairs, summary
 from paper.methods import Array, Choices, Printed, Units
 from pisplit import Episodes, half_step
 from pisplit.checks import count
@@ -36,8 +36,11 @@ class Constant:
 
 
 def reasons(data: PaperData, pairs: int = PAIRS) -> dict[str, tuple[float, str]]:
-    """Figures and their units: of predicting a constant; of K_f; of K on the training pairs, in units of deviations."""
-    rows = random_pairs(data.training, count(pairs, "pairs"), 0)
+    """Figures and their units: of predicting a constant; of K_f; of K on the training pairs, in units of deviations.
+
+    ``pairs``: training pairs that are drawn, at most all.
+    """
+    rows = random_pairs(data.training, min(count(pairs, "pairs"), all_pairs(data.training)), 0)
     draw = Draw(data.law, data.training, rows, data.d2, 0)
     fitted, units = Printed("PI-EDMDc", Choices()).fitted(draw)
     theta, episodes = fitted.theta_, units.episodes(data.training)
