@@ -302,3 +302,39 @@ def test_the_iteration_matrix_takes_inertia_as_a_dead_load() -> None:
     for mine, wanted in zip(blocks, exact, strict=True):
         assert mine == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
     assert np.abs(inertia).max() > 0.1
+
+
+def test_a_linearisation_differentiates_the_accelerations_of_a_moving_rod() -> None:
+    """In shape, rate and inputs, at a state whose rates count (drag is quadratic): central differences."""
+    made = scene("kirchhoff", 2, rod.QuadraticDrag(2.0), rod.KelvinVoigt(1e-2, 1e-2), rod.TipWrench(rod.Input("f", 3)))
+    n = made.n_strains
+    xi, xi_t, _ = smooth(made, 7, (2.0, 20.0, 0.0))
+    point = np.concatenate([xi, xi_t, [0.3, -0.2, 0.4]])
+    found = made.linearise(point)
+    mine = np.hstack([found.A[n:], found.B[n:]])
+    for k, h in enumerate(np.concatenate([np.full(n, 1e-5), np.full(n, 1e-3), np.full(3, 1e-4)])):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = point.copy()
+            moved[k] += sign * h
+            ends.append(np.asarray(made.acceleration(moved[:n], moved[n : 2 * n], moved[2 * n :])).ravel())
+        slope = (ends[0] - ends[1]) / (2.0 * h)
+        assert mine[:, k] == pytest.approx(slope, rel=1e-5, abs=1e-5 * np.abs(slope).max())
+    assert np.array_equal(found.A[:n], np.eye(n, 2 * n, n)) and not found.B[:n].any()
+
+
+def test_tendons_have_no_friction_and_reach_the_tip_unless_told() -> None:
+    made = (
+        rod.Tendons.parallel(0.01, (0,), rod.Tension()),
+        rod.Tendons.helical(0.01, 0.3, (0,), rod.Tension()),
+        rod.Tendons.converging(0.01, 0.005, LENGTH, (0,), rod.Tension()),
+    )
+    assert {t.friction for t in made} == {0.0} and {t.end for t in made} == {None}
+    assert {t.name for t in made} == {"tendons"}
+
+
+def test_a_tendon_along_a_twisted_rod_is_a_helix() -> None:
+    """Twist k at rest: length L sqrt(1 + (k r)^2) before it is pulled."""
+    body = rod.Rod(LENGTH, SECTION, MATERIAL, rest_curvature=(0.0, 0.0, 9.0))
+    lengths = rod.Tendons([[0.03, 0.04]], rod.Tension()).unpulled_lengths(body, rod.Scene(body, nodes=3).rule)
+    assert lengths == pytest.approx([LENGTH * np.sqrt(1.0 + 0.45**2)], rel=1e-12)

@@ -30,6 +30,10 @@ class StrainCoordinates(Rebuilt):
     Strains are the least-squares polynomial through w at the stations. Rates follow from the world angular velocity
     ``R omega = int R w_t ds``, which is linear in the rates once the strains are known. Exact when the fields come
     from a rod on the same nodes and there are at least as many stations as nodes.
+
+    Attributes:
+        scene: the rod.
+        points: arclengths (S,) of the stations in m.
     """
 
     scene: Scene

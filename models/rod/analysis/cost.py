@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Instructions:
-    """Instruction counts of the residual and its Jacobian, in motion and at rest."""
+    """Instruction counts.
+
+    Attributes:
+        residual, jacobian: of the balance in motion and its Jacobian.
+        static_residual, static_jacobian: of the balance at rest and its Jacobian.
+    """
 
     residual: int
     jacobian: int

@@ -77,7 +77,14 @@ def energies(scene: Scene, x: ArrayLike) -> Energies:
 
 
 def account(scene: Scene, t: Array, x: Array, work: Array) -> EnergyAccount:
-    """Energies along states ``x`` (T+1, n_states) from the work of the terms (T+1, n_terms); see ``powers``."""
+    """Energies along a trajectory.
+
+    Args:
+        scene: what moves.
+        t: times (T+1,) in s.
+        x: states (T+1, n_states).
+        work: of the terms (T+1, n_terms) in J since the start; see ``powers``.
+    """
     names = term_names(scene)
     weights = _weight_terms(scene)
     others = [i for i, term in enumerate(scene.terms) if term not in weights]
@@ -88,7 +95,7 @@ def account(scene: Scene, t: Array, x: Array, work: Array) -> EnergyAccount:
 
 
 def term_names(scene: Scene) -> tuple[str, ...]:
-    """A name for every term: its type, numbered where there are several of them."""
+    """A name for every term of ``scene``: its type, numbered where there are several of them."""
     kinds = [type(term).__name__ for term in scene.terms]
     seen: Counter[str] = Counter()
     names = []
@@ -99,7 +106,7 @@ def term_names(scene: Scene) -> tuple[str, ...]:
 
 
 def stored(scene: Scene) -> ca.Function:
-    """``(xi, xi_t) -> kinetic, elastic, gravity`` energy in J.
+    """``(xi, xi_t) -> kinetic, elastic, gravity`` energy in J of ``scene``.
 
     Kinetic energy is half the rates times the mass matrix of the balance, elastic energy half the strains times the
     stress of the rod alone: the Gauss quadrature of the usual densities, for everything that has mass or stiffness.
@@ -118,7 +125,7 @@ def stored(scene: Scene) -> ca.Function:
 
 
 def powers(scene: Scene) -> ca.Function:
-    """``(xi, xi_t, u) -> power`` (n_terms,) in W that every term puts into the motion of the rod.
+    """``(xi, xi_t, u) -> power`` (n_terms,) in W that every term of ``scene`` puts into the motion.
 
     The power of a term is what it adds to the balance, times the rates, integrated along the rod. Inertia of added
     masses is kinetic energy and not part of it; their weight is.

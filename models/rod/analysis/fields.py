@@ -24,7 +24,11 @@ BLOCK = 512
 
 
 def station_points(stations: int | ArrayLike, length: float) -> tuple[float, ...]:
-    """Arclengths of the stations: a number S stands for L/S, 2L/S, ..., L (the clamp never moves and is left out)."""
+    """Arclengths of the stations: a number S stands for L/S, 2L/S, ..., L (the clamp is left out), with
+    L = ``length`` in m.
+
+    Raises ValueError for arclengths that do not increase or lie off the rod.
+    """
     if isinstance(stations, int | np.integer):
         n = count(stations, "stations")
         return tuple((length * np.arange(1, n + 1) / n).tolist())

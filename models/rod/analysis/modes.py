@@ -25,6 +25,7 @@ class NaturalModes:
         damping: (M,) ratio -Re(lambda) / |lambda|; 1 for modes that do not oscillate, negative for those that grow.
         eigenvalues: (M,) lambda in 1/s, imaginary part >= 0.
         strains: (M, n_strains) complex shapes of the free strains, largest tip displacement 1 m (where the tip moves).
+        state: the equilibrium (n_states,) of ``scene`` about which it moves.
     """
 
     frequency: Array
@@ -42,7 +43,7 @@ class NaturalModes:
 
 
 def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> NaturalModes:
-    """The slowest ``number`` modes (all when not given) about an equilibrium [xi, 0, u]."""
+    """The slowest ``number`` modes (all when not given) of ``scene`` about an equilibrium ``state`` [xi, 0, u]."""
     x = finite_array(state, "state", (scene.n_states,)).copy()
     n = scene.n_strains
     values, vectors = np.linalg.eig(scene.linearise(x).A)

@@ -19,7 +19,7 @@ DAMPING = 1e-3
 
 
 def equations_of_motion(scene: Scene, balance: str = "auto") -> Scene:
-    """The scene whose equations move ``scene``: itself (``"direct"``) or its ``variational`` twin.
+    """The scene whose equations move ``scene`` by ``balance``: itself (``"direct"``) or its ``variational`` twin.
 
     ``"auto"`` takes the twin for a spatial rod unless the material damps bending and torsion (see ``DAMPING``), a scene
     with a base that moves, and a scene that is variational already, as they are.

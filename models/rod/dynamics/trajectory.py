@@ -24,6 +24,7 @@ class Trajectory:
         message: why it gave up, empty on success.
         stats: counters of the scheme over the steps that succeeded (``nsteps`` and others), zeros when none did.
         work: (T+1, n_terms) work in J of every term since the start, when ``run`` was asked for the energy.
+        scene: the scene whose equations moved.
     """
 
     t: Array

@@ -19,7 +19,6 @@ from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row
 class Balance:
     """Weak form of the Cosserat equations (paper, eq. cosserat_rod_eq) at the Gauss nodes.
 
-    ``dead_force`` (3, K) in N adds an internal force at the nodes that does not depend on the motion.
     Statics is the same balance with exact zeros as rates and no inertia: nothing of the motion is left in its graph.
 
     With loads f, l per length and a wrench at the tip, forces and moments come from the tip:
@@ -29,6 +28,13 @@ class Balance:
     and every free strain balances at every node, in body axes:
 
         0 = R^T M - K_bt (w - w*) - stress_w,   0 = R^T N - K_se (v - v*) - stress_v
+
+    Attributes:
+        rod: the rod; terms: what acts on it; rule: the nodes and how to integrate between them.
+        strains, rates, accelerations: free strains (n,), node by node, and their time derivatives.
+        inputs: symbol of each input by name.
+        inertia: whether the rod has inertia.
+        dead_force: (3, K) in N adds an internal force at the nodes that does not depend on the motion.
     """
 
     rod: Rod

@@ -66,7 +66,14 @@ class DiscreteLinearisation:
 
 
 def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
-    """Exact first derivatives of the dynamics at a state [xi, xi_t, u], by the implicit function theorem."""
+    """Exact first derivatives of the dynamics of a scene, by the implicit function theorem.
+
+    Args:
+        scene: what moves.
+        state: [xi, xi_t, u] (n_states,).
+
+    Raises ValueError for a state of another scene, or one at which numbers overflow.
+    """
     x = finite_array(state, "state", (scene.n_states,))
     n = scene.n_strains
     xi, xi_t, xi_tt, u, balance = scene.dynamic_balance

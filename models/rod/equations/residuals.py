@@ -16,6 +16,8 @@ THROUGH_JACOBIAN: dict[str, Any] = {"never_inline": True, "enable_forward": Fals
 def motion_residual(scene: Scene) -> ca.Function:
     """``(xi, xi_t, xi_tt, u) -> residual`` in parts of ``nominal_residual``, with a simplified Jacobian.
 
+    The balance of ``scene`` (paper, eq. cosserat_rod_eq).
+
     The Jacobian takes the inertia forces as dead loads: how they change with shape and rate is left out (it scales with
     the square of an integrator's step), how they stiffen the shape is not.
     """

@@ -78,7 +78,7 @@ class Tangent:
         self._function = ca.Function("tangent", [xi, u], outputs + slopes, {"cse": True})
 
     def sensitivity(self, state: Array) -> PoseSensitivity:
-        """Derivatives at an equilibrium [xi, 0, u], by the implicit function theorem."""
+        """Derivatives at an equilibrium ``state`` [xi, 0, u] (n_states,), by the implicit function theorem."""
         n, m = self.scene.n_strains, self.scene.n_inputs
         inputs = np.concatenate([state[2 * n :], np.zeros(6)])
         values = [finite_answer(np.asarray(v), "derivatives of the balance") for v in self._function(state[:n], inputs)]
@@ -95,7 +95,7 @@ class Tangent:
 
 
 def stability(scene: Scene, state: Array) -> Stability:
-    """Tangent stiffness of the free strains at an equilibrium [xi, 0, u], in parts of the elastic stiffness."""
+    """Tangent stiffness of ``scene`` at an equilibrium ``state`` [xi, 0, u], in parts of the elastic one."""
     n = scene.n_strains
     if "_stiffness" not in scene.__dict__:
         xi, u, balance = scene.static_balance
@@ -112,7 +112,7 @@ def stability(scene: Scene, state: Array) -> Stability:
 
 
 def checked_state(scene: Scene, state: ArrayLike) -> Array:
-    """``state`` as an array (n_states,)."""
+    """``state`` of ``scene`` as an array (n_states,)."""
     return finite_array(state, "state", (scene.n_states,))
 
 

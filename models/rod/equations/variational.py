@@ -119,13 +119,13 @@ class VariationalMotion(Motion):
         return found
 
     def spin_at(self, points: Sequence[float]) -> ca.SX:
-        """World angular velocity O (3, S) at arclengths in rad/s."""
+        """World angular velocity O (3, S) in rad/s at arclengths ``points`` (S,) in m."""
         if self.rod.strain_set.planar:
             return super().spin_at(points)
         return ca.horzcat(*[spin for spin, _ in self._spins(points)])
 
     def spin_rate_at(self, points: Sequence[float]) -> ca.SX:
-        """O_t (3, S) at arclengths in rad/s^2."""
+        """O_t (3, S) in rad/s^2 at arclengths ``points`` (S,) in m."""
         if self.rod.strain_set.planar:
             return super().spin_rate_at(points)
         return ca.horzcat(*[rate for _, rate in self._spins(points)])

@@ -78,7 +78,7 @@ class _Entry:
 
 
 def board_step(scene: Scene, dt: float, substeps: int) -> ca.Function:
-    """``(x, u) -> (x_next, residual)`` over ``dt`` in s by a fixed number of L-stable second-order steps.
+    """``(x, u) -> (x_next, residual)`` of ``scene`` over ``dt`` in s by ``substeps`` L-stable second-order steps.
 
     Inputs move linearly from those in ``x`` to ``u``. Every stage takes the same number of Newton iterations, so that a
     step always costs the same; ``residual`` is the largest one left in any stage, in parts of EI/L.

@@ -40,7 +40,12 @@ STRIP_WIDTH = 3.2
 
 @dataclass(frozen=True)
 class Shape:
-    """What is drawn of N states: lines and rims of plates (N, ..., 3) in mm, tensions (N, tendons) in N."""
+    """What is drawn of N states.
+
+    Attributes:
+        backbone, plates, tendons: lines and rims of plates (N, ..., 3) in mm.
+        tensions: (N, tendons) in N.
+    """
 
     backbone: Array
     plates: Array
@@ -54,7 +59,7 @@ class Shape:
 
 
 def tensions(scene: Scene, states: ArrayLike) -> Array:
-    """Tendon tensions (N, tendons) in N of states (N, n_states)."""
+    """Tendon tensions (N, tendons) in N of ``states`` (N, n_states) of ``scene``."""
     x = np.atleast_2d(np.asarray(states, float))
     xi, u, balance = scene.static_balance
     tension = balance.loads.outputs.get("tension", ca.SX(0, 1))
@@ -65,7 +70,7 @@ def tensions(scene: Scene, states: ArrayLike) -> Array:
 
 
 def shape_of(scene: Scene, states: ArrayLike) -> Shape:
-    """Backbone, guide plates, tendons and tensions of states (n_states,) or (N, n_states).
+    """Backbone, guide plates, tendons and tensions of ``states`` (n_states,) or (N, n_states) of ``scene``.
 
     Raises ValueError for states of another shape.
     """
@@ -89,7 +94,13 @@ def shape_of(scene: Scene, states: ArrayLike) -> Shape:
 
 
 def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:
-    """The arm in 3-D, its tendons coloured by tension; of states (N, n_states) the last, with the others as ghosts."""
+    """The arm in 3-D, its tendons coloured by tension.
+
+    Args:
+        scene: the arm.
+        states: (n_states,) or (N, n_states), of which the last is drawn, with the others as ghosts.
+        title: over the picture.
+    """
     shape = shape_of(scene, states)
     figure = _figure(8.0, 7.0)
     axis = figure.add_subplot(projection="3d")
@@ -107,7 +118,13 @@ def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:
 
 
 def plot_strip(trajectory: Trajectory, moments: int = 9, title: str = "") -> Figure:
-    """Shapes side by side over time in the plane of most motion, over the path of the tip and the tensions in time."""
+    """Shapes side by side over time in the plane of most motion, over the path of the tip and the tensions in time.
+
+    Args:
+        trajectory: what moves.
+        moments: number of shapes, spread evenly over the time.
+        title: over the picture.
+    """
     scene = trajectory.scene
     chosen = np.unique(np.linspace(0, len(trajectory.x) - 1, count(moments, "moments")).round().astype(int))
     shape = shape_of(scene, trajectory.x[chosen])
@@ -145,7 +162,12 @@ def plot_strip(trajectory: Trajectory, moments: int = 9, title: str = "") -> Fig
 
 
 def plot_energy(t: ArrayLike, energies: Mapping[str, ArrayLike], title: str = "") -> Figure:
-    """Energies (T,) in J by name over times (T,) in s, and beneath them their sum's change, which shows any drift.
+    """Energies over time, and beneath them their sum's change, which shows any drift.
+
+    Args:
+        t: times (T,) in s.
+        energies: (T,) in J by name.
+        title: over the picture.
 
     Raises ValueError for an energy of another length than the times.
     """
@@ -176,6 +198,7 @@ def animate_arm(trajectory: Trajectory, path: str | Path, fps: int = 20, title: 
         trajectory: what moves.
         path: ``.gif``, or ``.mp4`` where ffmpeg is installed.
         fps: frames per second of the picture and of the motion.
+        title: over the picture.
     """
     from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
 

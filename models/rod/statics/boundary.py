@@ -33,6 +33,7 @@ class FixedTipEquilibrium:
         force: (3,) in N and moment: (3,) in N m at the tip, in world axes; the moment of a pinned tip is zero.
         success: whether balance and pose are met; message: why not, empty on success.
         residual: largest error of balance (parts of EI/L) and pose (parts of L, rad).
+        scene: the scene in equilibrium.
     """
 
     state: Array

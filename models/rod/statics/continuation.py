@@ -18,7 +18,8 @@ def follow(solve: Callable[[float, Array], Array | None], start: Array) -> tuple
     """Solution at the end of the way and how much of it was gone (1 when all).
 
     ``solve(t, guess)`` gives the solution at parameter ``t``, or None. Guesses lie on the line through the last two
-    solutions; a step that fails is halved, after two that succeed the next one is twice as long.
+    solutions, the first at ``start`` (n,), the solution at 0; a step that fails is halved, after two that succeed the
+    next one is twice as long.
     """
     t, x, step, good = 0.0, start, FIRST_STEP, 0
     slope = 0.0 * start

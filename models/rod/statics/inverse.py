@@ -46,7 +46,10 @@ def inverse(
     start: ArrayLike | None = None,
     tolerance: float = 1e-8,
 ) -> InverseSolution:
-    """Inputs near ``start`` that bring the tip to ``target``; see ``Statics.inverse``."""
+    """Inputs near ``start`` that bring the tip of the scene of ``statics`` to ``target`` (3,) in m.
+
+    ``limits`` and ``tolerance`` as in ``Statics.inverse``, which raises and flags what this does.
+    """
     scene = statics.scene
     length, m = scene.rod.length, scene.n_inputs
     goal = np.asarray(target, float)

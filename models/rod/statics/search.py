@@ -181,7 +181,7 @@ class Search(Rebuilt):
 
 
 def attempt(solver: ca.Function | Memoryless, x0: Array, *parameters: Array | float) -> Array:
-    """One call of a rootfinder from ``x0`` (n,) with its ``parameters``; NaN (n,) where it fails."""
+    """One call of a rootfinder ``solver`` from ``x0`` (n,) with its ``parameters``; NaN (n,) where it fails."""
     try:
         return np.asarray(solver(x0, *parameters)).ravel()
     except RuntimeError:
