@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 FLOAT = np.dtype(np.float64)
+#: Relative difference up to which two time steps are one.
+SAME_STEP = 1e-6
 #: What arrays hold that are no numbers, by kind of NumPy's data types.
 KINDS = {
     "c": "complex numbers; give real and imaginary parts as columns of their own",
@@ -74,12 +76,24 @@ def finite_array(value: ArrayLike, name: str, shape: Sequence[int | None]) -> Ar
 
 
 def differing(first: float, second: float) -> tuple[str, str]:
-    """Two numbers as texts with as many digits as it takes to tell them apart."""
+    """The numbers ``first`` and ``second`` as texts with as many digits as it takes to tell them apart."""
     for digits in range(6, 18):
         texts = f"{first:.{digits}g}", f"{second:.{digits}g}"
         if texts[0] != texts[1]:
             break
     return texts
+
+
+def same_step(first: float, second: float) -> bool:
+    """True if two time steps [s] differ by less than a millionth: written in a file as decimals, they are equal."""
+    return abs(first - second) <= SAME_STEP * abs(second)
+
+
+def check_same_step(given: float, wanted: float, giver: str, owner: str) -> None:
+    """Raise ValueError if the time step ``given`` [s] of the ``giver`` is not the one ``wanted`` by the ``owner``."""
+    if not same_step(given, wanted):
+        found, expected = differing(given, wanted)
+        raise ValueError(f"{giver} dt = {found} s, {owner} {expected} s; give both the same time step")
 
 
 def positive(value: Any, name: str, unit: str = "") -> float:

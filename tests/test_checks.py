@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
@@ -11,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit.checks import count, differing, finite_array, finite_number, real_array
+from pisplit.checks import check_same_step, count, differing, finite_array, finite_number, real_array, same_step
 
 
 @pytest.mark.parametrize(
@@ -110,3 +111,13 @@ def test_two_numbers_are_told_apart() -> None:
     assert differing(0.1, 0.2) == ("0.1", "0.2")
     first, second = differing(0.1, 0.1 * (1 + 1e-8))
     assert first == "0.1" and second == "0.100000001"
+
+
+@pytest.mark.parametrize("step", [1e-6, 0.03, 250.0])
+def test_time_steps_are_one_up_to_the_digits_of_a_file(step: float) -> None:
+    assert same_step(step, step * (1 + 0.9e-6)) and same_step(step, step * (1 - 0.9e-6))
+    assert not same_step(step, step * (1 + 1.1e-6)) and not same_step(step, step * (1 - 1.1e-6))
+    with pytest.raises(ValueError, match=r"the file has dt = (.*) s, the model (.*) s; give both") as found:
+        check_same_step(step * (1 + 2e-6), step, "the file has", "the model")
+    one, other = re.findall(r"([0-9.e+-]+) s[,;]", str(found.value))
+    assert one != other and float(other) == step

@@ -245,7 +245,7 @@ def test_a_model_of_another_arm_is_refused() -> None:
         ClosedLoop(PointOnSprings(positions_only=True), controller(point_model()))
     plant = PointOnSprings()
     plant.dt = 0.02
-    with pytest.raises(ValueError, match=r"the plant steps 0.02 s, the model 0.03 s"):
+    with pytest.raises(ValueError, match=r"the plant has dt = 0.02 s, the model 0.03 s"):
         ClosedLoop(plant, controller(point_model()))
     plant = PointOnSprings()
     plant.n_inputs = 2

@@ -107,7 +107,8 @@ def test_moves_solve_the_stated_problem(seed: int, options: dict[str, Any]) -> N
     """At three successive steps: the input before, the disturbance and what is free differ."""
     rng = np.random.default_rng(seed)
     model = arm_model(seed, basis=DIFFERENTIAL if seed % 2 else np.eye(3))
-    model = replace(model, C=np.eye(6) + 0.1 * rng.standard_normal((6, 6)))
+    wrong, shift = 0.1 * rng.standard_normal((6, 6)), 0.02 * rng.standard_normal(6)
+    model = replace(model, C=np.eye(6) + wrong, d=shift)
     H, limits = 8, (np.array([-0.01, -0.012, -0.009]), np.array([0.012, 0.01, 0.011]), np.array([0.004, 0.003, 0.005]))
     mpc = MPC(model, H, *limits, rate_weight=1e-2, input_weight=1e-5, qp=EXACT, **options)
     before = model.input_offset
@@ -380,7 +381,7 @@ def test_the_shifted_plan_and_its_multipliers_solve_the_next_problem() -> None:
         ({"track": "elbow"}, "'elbow' names no output of the model; it has 'tip'"),
         ({"track": (0, 9)}, "expected state names, or indices from 0 to 5"),
         ({"axes": (0, 3)}, "axes"),
-        ({"dt": 0.05}, "dt = 0.05 s, but the model steps 0.03 s"),
+        ({"dt": 0.05}, "dt = 0.05 s, the model has 0.03 s"),
         ({"output_weight": [1.0, 2.0]}, "output_weight"),
         ({"output_weight": 0.0}, "output_weight"),
         ({"rate_weight": -1.0}, "rate_weight = -1"),

@@ -63,12 +63,12 @@ def test_the_demo_reports_what_it_measured(demo: tuple[Path, dict[str, Any], str
     _, found, printed = demo
     figures = found["figures"]
     assert found["seed"] == 0 and found["arguments"]["quick"] is True and found["arguments"]["episodes"] == 4
-    for model in ("L-EDMDc", "PI-EDMDc"):
+    for model in ("L-EDMDc", "PI-EDMDc", "PI-EDMDc LASSO"):
         assert figures[f"circle {model} RMS"]["unit"] == "% of L" and figures[f"circle {model} RMS"]["value"] > 0.0
         assert figures[f"{model} divergent roll-outs"]["value"] == 0.0
         assert model in printed
     violations = [figure for name, figure in figures.items() if "limit violations" in name]
-    assert len(violations) == 6 and all(figure["value"] == 0 and figure["met"] for figure in violations)
+    assert len(violations) == 8 and all(figure["value"] == 0 and figure["met"] for figure in violations)
 
 
 def test_the_demo_tracks_better_with_the_model_that_knows_the_arm(demo: tuple[Path, dict[str, Any], str]) -> None:

@@ -98,7 +98,7 @@ def test_a_read_out_is_learned_from_the_twin_too():
     ("twin", "text"),
     [
         (PhaseSamples(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 2))), "expected Episodes"),
-        (episodes(A, B, dt=0.2), "dt of d1"),
+        (episodes(A, B, dt=0.2), "twin has dt = 0.2 s, d1 0.1 s"),
         (Episodes([np.zeros((4, 3))], [np.zeros((3, 1))], 0.1), "has 3 states, d1"),
     ],
 )

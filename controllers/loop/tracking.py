@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, count, finite_array, real_array
+from pisplit.checks import Array, check_same_step, count, finite_array, real_array
 from pisplit.lifted.model import LiftedModel
 
 
@@ -138,8 +138,8 @@ def _state(model: LiftedModel, entry: int | str) -> int:
 
 def check_dt(model: LiftedModel, dt: float | None) -> None:
     """Raise ValueError if a wanted time step ``dt`` [s] is not that of the ``model``."""
-    if dt is not None and not np.isclose(dt, model.dt, rtol=1e-6, atol=0.0):
-        raise ValueError(f"dt = {dt:g} s, but the model steps {model.dt:g} s; fit a model at the control interval")
+    if dt is not None:
+        check_same_step(dt, model.dt, "the loop is asked for", "the model has")
 
 
 def checked_window(window: ArrayLike, horizon: int, n_outputs: int) -> Array:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.checks import Array, count, real_array
+from pisplit.checks import Array, check_same_step, count, real_array
 from pisplit.controllers.loop.plant import Plant
 from pisplit.data.columns import column_order, unit_factors
 from pisplit.lifted.model import LiftedModel
@@ -60,8 +60,7 @@ def wire(plant: Plant, model: LiftedModel) -> Wiring:
     numbers in another unit of the same kind are converted. It may measure more than the model knows. Raises ValueError
     on other sizes, names, units or time steps, in one line.
     """
-    if not np.isclose(plant.dt, model.dt, rtol=1e-6, atol=0.0):
-        raise ValueError(f"the plant steps {plant.dt:g} s, the model {model.dt:g} s; give both the same dt")
+    check_same_step(plant.dt, model.dt, "the plant has", "the model")
     return Wiring(
         _channel(plant, "state", plant.n_states, model.state_names, model.state_units),
         _channel(plant, "input", plant.n_inputs, model.input_names, model.input_units),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -47,6 +46,8 @@ class Signal:
         own = (self.times >= low) & (self.times <= high)
         times, values = self.times[own], self.values[own]
         if kind == "cubic" and len(times) > 3:
+            from scipy.interpolate import CubicSpline  # brings scipy.optimize, half of the import time of the package
+
             return np.asarray(CubicSpline(times, values, axis=0)(grid))
         return np.column_stack([np.interp(grid, times, column) for column in values.T])
 

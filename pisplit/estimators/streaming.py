@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pisplit.checks import non_negative
+from pisplit.checks import check_same_step, non_negative
 from pisplit.data.episodes import Episodes
 from pisplit.data.pairs import Pairs
 from pisplit.dictionary.dictionary import Dictionary
@@ -53,8 +53,7 @@ class StreamingEDMDc(Estimator):
             theta = self._dictionary(arranged)
         else:
             theta, before, _ = self._latest
-            if abs(episodes.dt - before.dt) > 1e-9 * before.dt:
-                raise ValueError(f"new episodes have dt = {episodes.dt:g} s; those before {before.dt:g} s")
+            check_same_step(episodes.dt, before.dt, "new episodes have", "those before")
             wanted = (before.state_names, before.input_names, before.units, before.input_units)
             arranged = episodes.arranged(*wanted, owner="the episodes before")
         if pairs is not None and arranged is not episodes:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import positive
+from pisplit.checks import check_same_step, positive
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Equilibria, Estimator, check_options
@@ -92,10 +92,7 @@ class TwinEDMDc(Estimator):
             raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")
         if isinstance(d1, Episodes):
             d1 = d1 if pairs is not None else d1.arranged(*self.theta.wanted_names, owner="the dictionary")
-            if not np.isclose(d1.dt, twin.dt, rtol=1e-9):
-                raise ValueError(
-                    f"d1 has dt = {d1.dt:g} s, the twin {twin.dt:g} s; simulate the twin with the dt of d1"
-                )
+            check_same_step(twin.dt, d1.dt, "the twin has", "d1")
             names = d1.state_names, d1.input_names, d1.units, d1.input_units
             twin = twin.arranged(*names, owner="d1")
         simulated = twin.pairs(self.theta.n_delays)

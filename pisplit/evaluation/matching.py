@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.checks import check_same_step
 from pisplit.data.episodes import Episodes
 from pisplit.lifted.model import LiftedModel
 
@@ -37,8 +38,7 @@ def matched(model: LiftedModel, episodes: Episodes, states: States = None) -> Ep
     ``states`` as in :func:`state_indices`. Raises ValueError, in one line, for another time step, other sizes, names or
     units, and for an output group ``states`` that both have, of different states.
     """
-    if abs(episodes.dt - model.dt) > 1e-9 * model.dt:
-        raise ValueError(f"the episodes have dt = {episodes.dt:g} s; the model was fitted for {model.dt:g} s")
+    check_same_step(episodes.dt, model.dt, "the episodes have", "the model")
     if (episodes.n_states, episodes.n_inputs) != (model.n_states, model.n_inputs):
         raise ValueError(
             f"the episodes have {episodes.n_states} states and {episodes.n_inputs} inputs; "

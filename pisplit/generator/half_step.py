@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from pisplit.checks import one_of
+from pisplit.checks import check_same_step, one_of, same_step
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.generator.generator import (
@@ -108,7 +108,9 @@ def half_step(
             known["first-order"] = np.eye(theta.n_columns) + 0.5 * dt * generator
         else:
             known["generator"] = exponential(theta, 0.5 * dt * generator, options)
-    if kind == "flow" or (not options.rows and samples.x_half is not None and _same_step(samples, dt)):
+    if kind == "flow" or (
+        not options.rows and samples.x_half is not None and samples.dt is not None and same_step(samples.dt, dt)
+    ):
         flow = _flow_moments(theta, samples, dt, scale, options)
         if kind != "first-order":
             known["flow"] = regressed_rows(theta, flow, alpha, np.ones(theta.n_columns), options)
@@ -257,18 +259,13 @@ def _flow_moments(theta: Dictionary, samples: PhaseSamples, dt: float, scale: Ar
     """Moments of [static columns | present columns after dt/2], scaled."""
     if samples.x_half is None or samples.dt is None:
         raise ValueError("half_step='flow' needs phase samples with x_half; make them with flow=True and dt")
-    if not _same_step(samples, dt):
-        raise ValueError(f"x_half is the flow over half of dt = {samples.dt:g} s; the trajectories have dt = {dt:g} s")
+    check_same_step(samples.dt, dt, "the flow x_half of the phase samples has", "the trajectories")
 
     def after(part: PhaseSamples) -> Array:
         assert part.x_half is not None
         return theta.present(part.x_half)
 
     return static_moments(theta, samples, scale, options, "flow", after)
-
-
-def _same_step(samples: PhaseSamples, dt: float) -> bool:
-    return samples.dt is not None and abs(samples.dt - dt) <= 1e-9 * dt
 
 
 def _growth(theta: Dictionary, matrix: Array, options: KnownOptions) -> float:
