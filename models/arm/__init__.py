@@ -9,6 +9,7 @@ from pisplit.models.arm.recording import (
 )
 from pisplit.models.arm.static_table import EquilibriumTable, OutsideTable, equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.arm.twin import twin_alone, twin_dictionaries, twin_dictionary
 
 __all__ = [
     "ArmPhysics",
@@ -20,4 +21,7 @@ __all__ = [
     "make_episodes",
     "make_phase_samples",
     "random_displacements",
+    "twin_alone",
+    "twin_dictionaries",
+    "twin_dictionary",
 ]

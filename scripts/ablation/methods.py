@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from ablation.scenarios import STATIONS, excitation, scenarios
-from ablation.shared import SLACK_WIDTH, best, compact, quietly
+from ablation.shared import best, compact, quietly
 from ablation.twin import TWIN_EPISODES, TwinMethod
 from common.protocol import Draw, Lifted, Method, Prediction, Predictor, contiguous
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc
 from pisplit import observables as ob
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.static_table import EquilibriumTable, equilibrium_table
+from pisplit.models.arm.twin import SLACK_WIDTH
 
 #: Half width in m of the table of equilibria, in usual displacements.
 TABLE_WIDTH = 2.2
@@ -35,8 +36,8 @@ def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str,
         "B-EDMDc": Tuned(BilinearEDMDc, bilinear_dictionaries),
         "L-EDMDc, bounded": Tuned(LinearEDMDc, linear_dictionaries, bounded=True),
         "B-EDMDc, bounded": Tuned(BilinearEDMDc, bilinear_dictionaries, bounded=True),
-        "L-EDMDc, rod + x_eq": RodCoordinates(LinearEDMDc, seed),
-        "B-EDMDc, rod + x_eq": RodCoordinates(BilinearEDMDc, seed),
+        "L-EDMDc, rod + x_eq": InRodCoordinates(LinearEDMDc, seed),
+        "B-EDMDc, rod + x_eq": InRodCoordinates(BilinearEDMDc, seed),
         "PI Strang, rod + x_eq": Splitting("strang", seed),
         "PI balanced": Splitting("balanced", seed),
         "PI hold": Splitting("hold", seed),
@@ -100,7 +101,7 @@ class Tuned:
 
 
 @dataclass(frozen=True)
-class RodCoordinates:
+class InRodCoordinates:
     """An estimator in rod coordinates with the equilibrium under u as input, read out by exact kinematics."""
 
     estimator: Callable[..., Any]

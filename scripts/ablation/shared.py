@@ -11,9 +11,6 @@ import numpy as np
 
 from common.protocol import HELD_OUT, Draw
 
-#: Softplus width in m of slack features.
-SLACK_WIDTH = 1e-4
-
 
 def compact(draw: Draw) -> Draw:
     """The draw with those episodes only that hold pairs or are held out."""

@@ -7,19 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ablation.scenarios import NOISE, STEPS, Scenario, coordinates, equilibria, excitation, scenarios
-from ablation.shared import SLACK_WIDTH, best, compact, quietly
+from ablation.shared import best, compact, quietly
 from common.data import DT
 from common.protocol import HISTORY, Draw, Lifted, Predictor
 from pisplit import Dictionary, Episodes, TwinEDMDc
-from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.files import replacing
 from pisplit.models.arm.recording import EQUATIONS, make_episodes
+from pisplit.models.arm.twin import OMIT, PLAIN, twin_alone, twin_dictionaries, twin_dictionary
 from pisplit.models.calibration.fit import (
     Calibration,
     calibrate_from_equilibria,
@@ -41,22 +40,13 @@ RESTING = ("tendons", "routing", "bending", "load")
 MOVING = (*RESTING, "damping")
 #: Pairs that tendons are identified from when no equilibria are known.
 TENDON_PAIRS = 16
-#: Numbers of principal components whose products are columns and of radial functions of the inputs (with slack
-#: features), and ridges of the twin's regression: what rolls the twin's last episodes out best is taken, beside the
-#: plain fields, which are the safer choice where the twin is wrong.
-RICH, PLAIN = ((4, 0, 1e-6), (6, 0, 1e-6), (12, 0, 3e-5), (12, 0, 1e-4), (4, 100, 1e-5)), (0, 0, 1e-5)
 #: The fields with delays, which carry what the twin knows nothing of, are a third candidate from so many pairs on.
 DELAYS, DELAYED_FROM = 2, 2000
-TWIN_HELD_OUT = 6
-#: Centres of radial functions are chosen from every seventh input, and there are some for each of them.
-THINNED, ROWS_PER_CENTRE = 7, 4
 #: Weights of the twin to choose from.
 TWIN_WEIGHTS = tuple(np.logspace(-6, 4, 6).tolist())
 #: Where held-out roll-outs hardly tell weights apart, as noisy ones do, the twin gets the larger one; where they hardly
 #: tell dictionaries apart, the smallest is taken.
 CV_TOLERANCE = 0.05
-#: Strains v of a backbone without shear and stretch are axial forces in the seventh digit: they predict nothing.
-OMIT = ("v",)
 
 
 @dataclass(frozen=True)
@@ -197,52 +187,6 @@ def _twin_of(path: Path, episodes: int, name: str) -> tuple[Episodes, list[tuple
     """The first episodes of a twin and the dictionaries that suit them."""
     twin = Episodes.load(path)[:episodes]
     return twin, twin_dictionaries(twin, excitation(name))
-
-
-def twin_dictionaries(twin: Episodes, inputs: Array) -> list[tuple[Dictionary, float]]:
-    """The plain dictionary and the rich one that rolls out held-out episodes of the twin best, with their ridges.
-
-    Ridges are raised until models stay bounded under ``inputs`` (E, T, m).
-    """
-    out = max(1, min(TWIN_HELD_OUT, len(twin) // 4))
-    training, held = twin[:-out], twin[-out:]
-    found: dict[tuple[int, int, float], tuple[bool, float, float]] = {}
-    for number, centres, ridge in RICH:
-        if ROWS_PER_CENTRE * centres > len(training.stacked_inputs()[::THINNED]):
-            continue
-        fit = quietly(twin_alone, twin_dictionary(training, number, centres), ridge, training, inputs)
-        error = np.nan_to_num(fit.score(held, "shape").median, nan=np.inf)
-        found[number, centres, ridge] = not fit.bounded_, error, fit.twin_alpha_
-    number, centres, _ = best = min(found, key=lambda key: found[key][:2])
-    return [
-        (twin_dictionary(twin, *PLAIN[:2]), PLAIN[-1]),
-        (twin_dictionary(twin, number, centres), found[best][-1]),
-    ]
-
-
-def twin_dictionary(twin: Episodes, number: int, centres: int, delays: int = 0) -> Dictionary:
-    """Bilinear dictionary of the fields, with products of principal components and functions of the inputs."""
-    inputs: list[Any] = []
-    if centres:
-        inputs = [ob.Slack(SLACK_WIDTH), ob.Radial.from_data(twin.stacked_inputs()[::THINNED], centres, of="inputs")]
-    components = [ob.Principal.of(twin.stacked_states(), number, twin.quantities, OMIT)] if number else []
-    return Dictionary(
-        ob.Constant(),
-        ob.States(),
-        *(ob.compose(ob.Polynomials(2), c) for c in components),
-        ob.Inputs(),
-        ob.Polynomials(2, of="inputs"),
-        *inputs,
-        ob.Delays(states=delays, inputs=1),
-        ob.Bilinear(),
-        n_states=twin.n_states,
-        n_inputs=twin.n_inputs,
-    )
-
-
-def twin_alone(theta: Dictionary, ridge: float, twin: Episodes, inputs: Array) -> TwinEDMDc:
-    """The model of the twin, bounded under ``inputs``: recorded pairs have no weight."""
-    return TwinEDMDc(theta, alpha=1e8, twin_alpha=ridge, omit=OMIT).fit(twin[:1], twin, excitation=inputs)
 
 
 @lru_cache(maxsize=32)
