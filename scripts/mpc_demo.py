@@ -29,13 +29,15 @@ from pisplit.models.arm.tendon_arm import TendonArm
 STATIONS = 6
 TEST_EPISODES = 4
 HORIZON = 20
-#: Weights of the input rate among which the tuning run chooses, per model.
-RATE_WEIGHTS = (0.02, 0.3, 1.0)
+#: Weights of the input rate among which the tuning runs choose, per model; the one that is safe most often is first.
+RATE_WEIGHTS = (0.2, 0.02, 0.3, 1.0)
+#: Where the tuning runs jump to, from the tip at rest [m].
+TRIAL_JUMPS = ((-0.08, 0.06), (0.06, -0.08), (-0.06, -0.08), (0.0, 0.1))
 #: Models for control: the largest penalty that costs at most 30 % of held-out roll-out error.
 CV_TOLERANCE = 0.3
 #: Penalties of the LASSO, in parts of the one that leaves the physical map alone; smaller ones leave no entry at it.
 LASSO_ALPHAS = tuple(np.logspace(-6, 0, 7).tolist())
-#: Sparse models near the best roll-out can limit-cycle at a set-point; the sparsest within 50 % did not (seeds 0 to 3).
+#: Sparser models than the one with the best roll-outs track better: the sparsest within 50 % of its error.
 LASSO_TOLERANCE = 0.5
 
 
@@ -81,16 +83,24 @@ def limits(arm: TendonArm) -> dict[str, Any]:
 
 
 def tuned_mpc(arm: TendonArm, model: LiftedModel, loop: Callable[..., LoopLog], tip: np.ndarray) -> MPC:
-    """MPC with the rate weight that does best on two trials: a smaller, slower circle than the one of the comparison,
-    and a jump elsewhere, after which a model that is too bold for its errors does not come to rest.
+    """MPC with the rate weight that does best on trials: a smaller, slower circle than the one of the comparison, and
+    jumps as far as its set-point in four other directions: a model that is too bold for its errors does not come to
+    rest after some of them. Circle and jumps count alike. A weight that is worse already is not tried any further.
     """
     circle = references.circle(radius=0.06, period=6.0, center=tip[:2], approach=1.5)
-    jump = references.setpoint([[tip[0] - 0.06, tip[1] + 0.05, np.nan]], [0.3])
-    candidates = [MPC(model, horizon=HORIZON, track="tip", rate_weight=w, **limits(arm)) for w in RATE_WEIGHTS]
-    errors = [
-        loop(mpc, circle, 130).rms_error(after=1.5) + loop(mpc, jump, 130).rms_error(after=2.4) for mpc in candidates
-    ]
-    return candidates[int(np.nanargmin(errors))]
+    jumps = [references.setpoint([[tip[0] + x, tip[1] + y, np.nan]], [0.3]) for x, y in TRIAL_JUMPS]
+    trials = [(circle, 1.5, 1.0), *((jump, 3.0, 1.0 / len(jumps)) for jump in jumps)]
+    best, least = None, np.inf
+    for weight in RATE_WEIGHTS:
+        mpc, total = MPC(model, horizon=HORIZON, track="tip", rate_weight=weight, **limits(arm)), 0.0
+        for reference, after, share in trials:
+            error = loop(mpc, reference, 150).rms_error(after=after)
+            total += share * error if np.isfinite(error) else np.inf
+            if total >= least:
+                break
+        else:
+            best, least = mpc, total
+    return best if best is not None else mpc
 
 
 def main() -> None:
