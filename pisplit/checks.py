@@ -85,7 +85,10 @@ def differing(first: float, second: float) -> tuple[str, str]:
 
 
 def same_step(first: float, second: float) -> bool:
-    """True if two time steps [s] differ by less than a millionth: written in a file as decimals, they are equal."""
+    """True if the time steps ``first`` and ``second`` [s] differ by less than a millionth.
+
+    Written in a file as decimals, they are equal.
+    """
     return abs(first - second) <= SAME_STEP * abs(second)
 
 

@@ -49,7 +49,7 @@ def replacing(path: str | os.PathLike[str], make_folders: bool = False) -> Itera
 
 
 def write_text(path: str | os.PathLike[str], text: str, make_folders: bool = False) -> None:
-    """Write ``text`` in UTF-8 to ``path``, whole or not at all; arguments and errors as in :func:`replacing`."""
+    """Write ``text`` in UTF-8 to ``path``, whole or not at all; ``make_folders`` and errors as in :func:`replacing`."""
     with replacing(path, make_folders) as part:
         part.write_bytes(text.encode())
 

@@ -119,6 +119,6 @@ def unit_factors(
 
 
 def regrouped(groups: Mapping[str, Sequence[int]], order: Index) -> dict[str, tuple[int, ...]]:
-    """Groups of positions {name: positions} after the columns were put in ``order`` (k,): each keeps its columns."""
+    """The ``groups`` {name: positions} after the columns were put in ``order`` (k,): each keeps its columns."""
     place = np.argsort(order)
     return {name: tuple(int(place[i]) for i in group) for name, group in groups.items()}

@@ -41,7 +41,10 @@ class Signal:
         return list(zip(self.times[first].tolist(), self.times[last].tolist(), strict=True))
 
     def interpolated(self, grid: Array, gap: float, kind: str) -> Array:
-        """Values (T+1, k) at ``grid`` (T+1,), which lies in one covered span; ``kind`` "linear" or "cubic"."""
+        """Values (T+1, k) at times ``grid`` (T+1,) [s]; ``kind`` "linear" or "cubic".
+
+        The grid lies in one span that is covered without a gap longer than ``gap`` [s].
+        """
         low, high = next(span for span in self.covered(gap) if span[0] <= grid[0] <= span[1])
         own = (self.times >= low) & (self.times <= high)
         times, values = self.times[own], self.values[own]
@@ -116,7 +119,7 @@ def longest_gap(signal: Signal, step: float, max_gap: float | None) -> float:
 
 
 def columns_at(signals: Sequence[Signal], parts: Sequence[Array], rows: int) -> Array:
-    """One array (rows, k) of ``parts``, one (rows, k_i) a signal, each in the columns of its signal."""
+    """One array (rows, k) of ``parts``, one (rows, k_i) for each of the ``signals``, in the columns of its signal."""
     found = np.empty((rows, sum(len(signal.columns) for signal in signals)))
     for signal, part in zip(signals, parts, strict=True):
         found[:, signal.columns] = part

@@ -23,7 +23,7 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def refrozen(state: dict[str, Any]) -> dict[str, Any]:
-    """Attributes of an unpickled or copied object, whose arrays arrive writable."""
+    """Attributes ``state`` of an unpickled or copied object with its arrays, which arrive writable, read-only again."""
     return {name: frozen(value) if isinstance(value, np.ndarray) else value for name, value in state.items()}
 
 

@@ -62,7 +62,7 @@ def writing(path: str | os.PathLike[str], kind: str) -> Iterator[h5py.File]:
 
 @contextmanager
 def reading(path: str | os.PathLike[str], kind: str) -> Iterator[h5py.File]:
-    """Open an HDF5 file of :func:`writing` that must be of ``kind``, once its digest has been verified.
+    """Open an HDF5 file ``path`` of :func:`writing` that must be of ``kind``, once its digest has been verified.
 
     Raises FileNotFoundError if it is missing, ValueError in one line that names the file if it is damaged, foreign, of
     another kind, of a newer version, cannot be read, or lacks a part that the body reads.
@@ -103,27 +103,27 @@ def seal(path: str | os.PathLike[str]) -> None:
 
 
 def write_strings(group: h5py.Group, name: str, values: Sequence[str]) -> None:
-    """Write a list of texts as one dataset of variable-length UTF-8 strings."""
+    """Write the texts ``values`` as one dataset ``name`` of ``group``, of variable-length UTF-8 strings."""
     group.create_dataset(name, data=list(values), shape=(len(values),), dtype=h5py.string_dtype())
 
 
 def read_strings(group: h5py.Group, name: str) -> tuple[str, ...]:
-    """Read what :func:`write_strings` wrote."""
+    """Read what :func:`write_strings` wrote as ``name`` into ``group``."""
     return tuple(str(value) for value in group[name].asstr()[()])
 
 
 def write_text(group: h5py.Group, name: str, value: str) -> None:
-    """Write one text of any length."""
+    """Write one text ``value`` of any length as dataset ``name`` of ``group``."""
     group.create_dataset(name, data=value, dtype=h5py.string_dtype())
 
 
 def read_text(group: h5py.Group, name: str) -> str:
-    """Read what :func:`write_text` wrote."""
+    """Read what :func:`write_text` wrote as ``name`` into ``group``."""
     return str(group[name].asstr()[()])
 
 
 def write_json(group: h5py.Group, name: str, value: Any) -> None:
-    """Write a JSON-able value (dict, list, number, text) as one text. Raises ValueError for others."""
+    """Write a JSON-able ``value`` (dict, list, number, text) as text ``name`` of ``group``; ValueError for others."""
     try:
         write_text(group, name, json.dumps(value))
     except TypeError as error:
@@ -131,7 +131,7 @@ def write_json(group: h5py.Group, name: str, value: Any) -> None:
 
 
 def read_json(group: h5py.Group, name: str) -> Any:
-    """Read what :func:`write_json` wrote."""
+    """Read what :func:`write_json` wrote as ``name`` into ``group``."""
     return json.loads(read_text(group, name))
 
 
@@ -146,7 +146,7 @@ def from_key(key: str) -> str:
 
 
 def write_arrays(group: h5py.Group, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays of numbers, truth values or texts under their names. Raises ValueError for others."""
+    """Write ``arrays`` of numbers, truth values or texts into ``group`` under their names. ValueError for others."""
     for name, given in arrays.items():
         array = np.asarray(given)
         try:
@@ -161,7 +161,10 @@ def write_arrays(group: h5py.Group, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def read_arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    """Read what :func:`write_arrays` wrote; in the order of writing if the group keeps it (``track_order``)."""
+    """Read what :func:`write_arrays` wrote into ``group``.
+
+    They come in the order of writing if that is kept (``track_order``).
+    """
     found: dict[str, NDArray[Any]] = {}
     for key, dataset in group.items():
         name = from_key(key)
@@ -173,12 +176,12 @@ def read_arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
 
 
 def write_function(group: h5py.Group, name: str, function: ca.Function) -> None:
-    """Write a CasADi Function as one text, number by number exact."""
+    """Write a CasADi ``function`` as one text ``name`` of ``group``, number by number exact."""
     write_text(group, name, function.serialize())
 
 
 def read_function(group: h5py.Group, name: str) -> ca.Function:
-    """Read what :func:`write_function` wrote.
+    """Read what :func:`write_function` wrote as ``name`` into ``group``.
 
     Raises ValueError if a newer CasADi wrote it (its texts mean nothing to older ones), or if it refers to something
     that is not there, such as a shared library.
@@ -195,12 +198,15 @@ def read_function(group: h5py.Group, name: str) -> ca.Function:
 
 
 def save_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write a JSON-able value to a text file with its digest, whole or not at all; missing folders are made."""
+    """Write a JSON-able ``value`` to a text file ``path`` with its digest, whole or not at all.
+
+    Missing folders are made.
+    """
     write_file(path, _verifiable(value), make_folders=True)
 
 
 def load_json(path: str | os.PathLike[str]) -> Any:
-    """Read what :func:`save_json` wrote.
+    """Read what :func:`save_json` wrote to ``path``.
 
     Raises FileNotFoundError if it is missing, ValueError in one line if it is damaged or was written by something else.
     """

@@ -31,7 +31,10 @@ UNITS = {
 
 
 def to_si(unit: str, what: str) -> tuple[str, float]:
-    """SI unit and factor of a unit or of a quotient of two, such as "mm/s". Raises ValueError for unknown ones."""
+    """SI unit and factor of a ``unit`` or of a quotient of two, such as "mm/s".
+
+    Raises ValueError for unknown ones; ``what`` is what the message calls the column.
+    """
     parts = unit.split("/")
     if len(parts) > 2 or any(part not in UNITS for part in parts):
         known = ", ".join(name for name in UNITS if name)
@@ -52,7 +55,10 @@ def conversion(given: str, wanted: str) -> float | None:
 def columns_to_si(
     units: str | Sequence[str] | None, what: str, size: int
 ) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """SI units and factors (size,) of columns, from one unit for all or one a column; None leaves them as they are."""
+    """SI units and factors (size,) of columns, from one unit for all or one a column; None leaves them as they are.
+
+    Raises ValueError for another number of units and for unknown ones; ``what`` is what the message calls them.
+    """
     given = [""] * size if units is None else [units] * size if isinstance(units, str) else list(units)
     if len(given) != size:
         raise ValueError(f"{what} has {len(given)} entries; expected {size}, one a column")

@@ -16,7 +16,7 @@ LARGE, FEWER = 20_000, 100
 
 @dataclass(frozen=True)
 class Part:
-    """The columns of one part (state or input) as one CasADi Function, with names and quantities."""
+    """The columns of one part (state or input): a CasADi ``function`` with the ``names`` and ``quantities`` of each."""
 
     function: ca.Function
     names: tuple[str, ...]
@@ -30,6 +30,13 @@ def compile_part(
 
     Products with large matrices (random Fourier features of many states) are the exception: scalar by scalar they take
     seven times as long as whole.
+
+    letter   of the symbol: "x" or "u"
+    size     of the symbol
+    writers  functions of the symbol and ``names`` that write the columns of one observable, or None for no columns
+    names    of states and inputs
+
+    Raises ValueError for columns that CasADi cannot write.
     """
     try:
         scalar = _as(ca.SX, letter, size, writers, names)

@@ -44,7 +44,7 @@ class Evaluation(Layout):
         return self._theta(self._psi(pairs.x, pairs.x_history, pairs.u_history), pairs.u)
 
     def next_learned(self, pairs: Pairs) -> Array:
-        """The learned columns of psi (N, S) one step later, functions of x_{k+1} alone."""
+        """The learned columns of psi (N, S) of ``pairs`` one step later, functions of x_{k+1} alone."""
         return self._present(pairs.x_next)[:, self.learned_columns]
 
     def next(self, pairs: Pairs) -> Array:
@@ -66,13 +66,15 @@ class Evaluation(Layout):
         return self._features(inputs)
 
     def evaluate_static(self, states: Array, inputs: Array) -> Array:
-        """Theta (N, M) at phase-space samples: the past equals the present."""
+        """Theta (N, M) at phase-space samples, ``states`` (N, n) and ``inputs`` (N, m): the past equals the present."""
         history = np.broadcast_to(states[:, None], (len(states), self.n_delays + 1, self.n_states))
         past = np.broadcast_to(inputs[:, None], (len(inputs), self.n_delays, self.n_inputs))
         return self._theta(self._psi(states, history, past), inputs)
 
     def lie_derivative(self, states: Array, inputs: Array, velocities: Array) -> Array:
-        """J_x Theta . f (N, M) at states (N, n) with f = velocities (N, n) (paper, eq. jacob_solve).
+        """J_x Theta . f (N, M) at ``states`` (N, n) and ``inputs`` (N, m) (paper, eq. jacob_solve).
+
+        f are the ``velocities`` (N, n).
 
         One forward-mode product a sample. Inputs and delays do not move with f: their columns are zero.
         """

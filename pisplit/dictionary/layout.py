@@ -56,7 +56,10 @@ class Layout:
         input_part: Part,
         products: NDArray[np.int64] | None = None,
     ) -> None:
-        """Set all of the above, once; ``products`` default to none."""
+        """Set all of the above, once: ``names``, ``structure``, ``state_part``, ``input_part``.
+
+        ``products`` default to none.
+        """
         self.n_states, self.n_inputs = len(names.states), len(names.inputs)
         self.names, self.structure = names, structure
         self.state_part, self.input_part = state_part, input_part

@@ -41,7 +41,7 @@ class Estimator(Protocol):
         """Constructor arguments by name."""
 
     def score(self, episodes: Episodes, states: States = None) -> RolloutErrors:
-        """Errors of open-loop roll-outs."""
+        """Errors of open-loop roll-outs of ``episodes`` over ``states`` (output group, names or indices)."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,10 @@ class LearningCurve:
     refusals: tuple[tuple[str, int, int, str], ...]
 
     def quantile(self, name: str, q: float) -> Array:
-        """Quantile (G,) over the seeds (the lower neighbour: no interpolation with infinity)."""
+        """Quantile ``q`` in [0, 1] (G,) of estimator ``name`` over the seeds.
+
+        It is the lower neighbour: no interpolation with infinity.
+        """
         return np.asarray(np.quantile(self.errors[name], q, axis=1, method="lower"))
 
     def as_dict(self) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def matched(model: LiftedModel, episodes: Episodes, states: States = None) -> Ep
 
 
 def state_indices(model: LiftedModel, states: States) -> NDArray[np.int64]:
-    """Indices of an output group, of named states, or of states given by index; all states for None."""
+    """Indices in a ``model`` of an output group, of named states, or of states given by index; all states for None."""
     if states is None:
         return np.arange(model.n_states)
     if isinstance(states, str):

@@ -35,7 +35,9 @@ class Piece:
 
 
 def pieces(model: LiftedModel, z0: Array, inputs: Sequence[Array]) -> Iterator[Piece]:
-    """Roll-outs from lifted states ``z0`` (E, M) under E ``inputs`` (T, m) of one length, one stretch after another.
+    """Roll-outs of a ``model`` from lifted states ``z0`` (E, M) under E ``inputs`` (T, m) of one length.
+
+    They come one stretch after another.
 
     A roll-out that diverged takes no part in the stretches after that.
     """

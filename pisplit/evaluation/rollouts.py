@@ -55,7 +55,10 @@ class RolloutErrors:
         return float(self.diverged.mean())
 
     def quantile(self, q: float) -> float:
-        """Quantile over all steps of all episodes (the lower neighbour: no interpolation with infinity)."""
+        """Quantile ``q`` in [0, 1] over all steps of all episodes.
+
+        It is the lower neighbour: no interpolation with infinity.
+        """
         values = np.concatenate(self.squared)
         position = int(q * (len(values) - 1))
         values.partition(position)  # in place: as large as the errors, not twice

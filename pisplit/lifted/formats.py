@@ -45,7 +45,10 @@ def state_space_matrices(model: LiftedModel) -> tuple[Array, Array, Array, Array
 
 
 def to_state_space(model: LiftedModel) -> Any:
-    """``scipy.signal.StateSpace`` in discrete time with the features of the inputs as inputs (plus "1" if affine)."""
+    """The ``model`` as ``scipy.signal.StateSpace`` in discrete time.
+
+    Its inputs are the features of the inputs (plus "1" if affine).
+    """
     from scipy.signal import StateSpace
 
     a, b, c, d, _ = state_space_matrices(model)
@@ -53,7 +56,7 @@ def to_state_space(model: LiftedModel) -> Any:
 
 
 def to_control(model: LiftedModel) -> Any:
-    """``control.StateSpace`` with names, for python-control. Raises ValueError if that is not installed."""
+    """The ``model`` as ``control.StateSpace`` with names, for python-control; ValueError if that is not installed."""
     try:
         import control
     except ImportError:
@@ -86,9 +89,9 @@ def _labels(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
 
 
 def to_c_header(model: LiftedModel, path: str | os.PathLike[str], name: str = "model") -> None:
-    """Write the model as one C99 header without dependencies but <math.h>: whole or not at all.
+    """Write the ``model`` to ``path`` as one C99 header without dependencies but <math.h>: whole or not at all.
 
-    It defines NAME_STATES, NAME_INPUTS, NAME_LIFTED, NAME_FEATURES, NAME_DELAYS, NAME_DT and
+    With ``name`` = NAME it defines NAME_STATES, NAME_INPUTS, NAME_LIFTED, NAME_FEATURES, NAME_DELAYS, NAME_DT and
 
         void name_lift(const double *x_history, const double *u_history, double *z);
         void name_features(const double *u, double *phi);

@@ -50,6 +50,7 @@ class LiftedModel:
     ``lift_function``: (x_history (n, D+1), u_history (m, D)) -> z (M,), columns are times, oldest first; x_history
     holds x_{k-D}..x_k and u_history u_{k-D}..u_{k-1} with D = ``n_delays``.
     ``input_function``: u (m,) -> phi (P,), the identity if the dictionary is linear in u.
+    ``state_names`` (n,), ``input_names`` (m,), ``column_names`` (M,) of z, ``feature_names`` (P,) of phi.
     ``outputs``: named groups of states, e.g. {"tip": (120, 121, 122)}.
     ``input_offset`` (m,), ``input_basis`` (m, r): mean of the training inputs and an orthonormal basis of the
     directions in which they vary; a controller keeps u in input_offset + span(input_basis): the data know no other.
@@ -236,11 +237,14 @@ class LiftedModel:
         return Rollout(x=batch.x[0], z=batch.z[0], diverged=at >= 0, diverged_at=at if at >= 0 else None)
 
     def predict(self, x_history: ArrayLike, u_history: ArrayLike | None, inputs: ArrayLike) -> Rollout:
-        """Lift the history, then roll out under inputs (T, m)."""
+        """Lift ``x_history`` (D+1, n) and ``u_history`` (D, m), then roll out under ``inputs`` (T, m).
+
+        Without delays ``x_history`` may be x0 (n,) and ``u_history`` None.
+        """
         return self.rollout(self.lift(x_history, u_history), inputs)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model to an HDF5 file, whole or not at all."""
+        """Write the model to an HDF5 file ``path``, whole or not at all."""
         with store.writing(path, KIND) as file:
             for name in _ARRAYS:
                 file[name] = getattr(self, name)
@@ -257,7 +261,7 @@ class LiftedModel:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> LiftedModel:
-        """Read a saved model. Raises one line for files that are missing, damaged, foreign or of a newer CasADi."""
+        """Read a model saved at ``path``. Raises one line if it is missing, damaged, foreign or of a newer CasADi."""
         with store.reading(path, KIND) as file:
             parts: dict[str, Any] = {name: np.asarray(file[name][()]) for name in _ARRAYS}
             parts |= {name: store.read_function(file, name) for name in _FUNCTIONS}

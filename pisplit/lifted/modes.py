@@ -69,6 +69,6 @@ def modes(model: LiftedModel) -> Modes:
 
 
 def refuse_bilinear(model: LiftedModel, what: str) -> None:
-    """Raises ValueError for a bilinear model, for operations that only linear ones have."""
+    """Raises ValueError for a bilinear ``model``; ``what`` is what only linear ones have, for the message."""
     if model.is_bilinear:
         raise ValueError(f"the model is bilinear; {what} needs one that is linear in the lifted state and the features")

@@ -36,7 +36,10 @@ def lifted_model(
 
     The constant keeps its value and delays shift exactly: those rows are written, not learned. Where the states are not
     columns of the dictionary, C and d are regressed on the training pairs and, where there are any, on phase samples or
-    pairs of a simulated twin.
+    pairs of a simulated twin (``samples``).
+
+    ``theta`` is the dictionary; ``episodes`` give dt, names and units, ``pairs`` of them the inputs' directions;
+    ``provenance`` is kept with the model.
     """
     read, offset = _read_out(theta, pairs, samples)
     mean, basis = excited_inputs(pairs)

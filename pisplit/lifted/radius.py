@@ -33,7 +33,7 @@ def limited_radius(a: Array, bound: float = 1.0) -> Array:
 
 
 def limited_blocks(triangle: Array, bound: float) -> Array:
-    """A real Schur form with the diagonal blocks outside the circle of radius ``bound`` scaled onto it."""
+    """A real Schur form ``triangle`` (M, M), its diagonal blocks outside the radius ``bound`` scaled onto it."""
     limited, size, i = np.array(triangle), len(triangle), 0
     while i < size:
         width = 2 if i + 1 < size and limited[i + 1, i] != 0.0 else 1

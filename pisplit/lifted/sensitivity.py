@@ -13,13 +13,18 @@ Array = NDArray[np.float64]
 
 
 def input_jacobian(model: LiftedModel, inputs: ArrayLike) -> Array:
-    """d z_{k+1} / d u_k = B dphi/du (N, M, m) at inputs (N, m). Raises ValueError for bilinear models."""
+    """d z_{k+1} / d u_k = B dphi/du (N, M, m) of a ``model`` at ``inputs`` (N, m).
+
+    Raises ValueError for bilinear models.
+    """
     refuse_bilinear(model, "a Jacobian that does not depend on the state")
     return np.asarray(np.einsum("ij,njk->nik", model.B, model.feature_jacobian(inputs)))
 
 
 def rollout_jacobian(model: LiftedModel, inputs: ArrayLike) -> Array:
-    """d y_k / d u_j (T, n, T, m) of a roll-out under inputs (T, m): state k = 1..T (first axis), input j (third axis).
+    """d y_k / d u_j (T, n, T, m) of a roll-out of a ``model`` under ``inputs`` (T, m).
+
+    State k = 1..T (first axis), input j (third axis).
 
     Zero where the input comes after the state. Delayed inputs act through the columns of z that hold them.
     """

@@ -22,11 +22,11 @@ class Sum(Combining):
         return " + ".join(map(repr, self.parts))
 
     def state_columns(self, x: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the state x (n,)."""
+        """Columns of all parts that depend on the state ``x`` (n,), with the ``names`` of states and inputs."""
         return _joined([_plain(part, "a sum").state_columns(x, names) for part in self.parts])
 
     def input_columns(self, u: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the input u (m,)."""
+        """Columns of all parts that depend on the input ``u`` (m,), with the ``names`` of states and inputs."""
         return _joined([_plain(part, "a sum").input_columns(u, names) for part in self.parts])
 
 
@@ -104,7 +104,7 @@ def compose(outer: Any, inner: Any) -> Composition:
 
 
 def flattened(observables: Any) -> Iterator[Any]:
-    """Observables one by one, sums taken apart."""
+    """The ``observables`` one by one, sums taken apart."""
     for observable in observables:
         if isinstance(observable, Sum):
             yield from observable.parts

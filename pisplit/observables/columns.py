@@ -21,7 +21,10 @@ SIDES = ("states", "inputs")
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the states and inputs, and the physical quantity of each."""
+    """Names of the ``states`` (n,) and ``inputs`` (m,).
+
+    Their physical ``quantities`` (n,) and ``input_quantities`` (m,).
+    """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -31,7 +34,10 @@ class Names:
 
 @dataclass(frozen=True)
 class Columns:
-    """Some columns: a CasADi column vector, and a name and a physical quantity (the scaling group) for each entry."""
+    """Some columns: a CasADi column vector ``values``, and for each entry one of the ``names`` and ``quantities``.
+
+    Columns of one physical quantity share a scale.
+    """
 
     values: Symbol
     names: tuple[str, ...]
@@ -42,10 +48,16 @@ class Observable(Protocol):
     """What a dictionary asks of an observable (it fills ``Delays`` and ``Bilinear`` itself)."""
 
     def state_columns(self, x: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the state x (n,)."""
+        """Columns that depend on the state ``x`` (n,), with the ``names`` of states and inputs.
+
+        None if there are none.
+        """
 
     def input_columns(self, u: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the input u (m,)."""
+        """Columns that depend on the input ``u`` (m,), with the ``names`` of states and inputs.
+
+        None if there are none.
+        """
 
 
 class Combining:
@@ -66,11 +78,17 @@ class Base(Combining):
     """No columns in either part; observables override the part they fill."""
 
     def state_columns(self, x: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the state x (n,)."""
+        """Columns that depend on the state ``x`` (n,), with the ``names`` of states and inputs.
+
+        None if there are none.
+        """
         return None
 
     def input_columns(self, u: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the input u (m,)."""
+        """Columns that depend on the input ``u`` (m,), with the ``names`` of states and inputs.
+
+        None if there are none.
+        """
         return None
 
 
@@ -84,13 +102,19 @@ class OneSided(Base, ABC):
     variables: Sequence[str] | Sequence[int] | None
 
     def state_columns(self, x: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the state x (n,)."""
+        """Columns that depend on the state ``x`` (n,), with the ``names`` of states and inputs.
+
+        None if there are none.
+        """
         if one_of(self.of, "of", SIDES) == "inputs":
             return None
         return self._write(*chosen(x, names.states, names.quantities, self.variables))
 
     def input_columns(self, u: Symbol, names: Names) -> Columns | None:
-        """Columns that depend on the input u (m,)."""
+        """Columns that depend on the input ``u`` (m,), with the ``names`` of states and inputs.
+
+        None if there are none.
+        """
         if one_of(self.of, "of", SIDES) == "states":
             return None
         return self._write(*chosen(u, names.inputs, names.input_quantities, self.variables))
@@ -106,7 +130,10 @@ def chosen(
     quantities: tuple[str, ...],
     variables: Sequence[str] | Sequence[int] | None,
 ) -> tuple[Symbol, tuple[str, ...], tuple[str, ...]]:
-    """The entries of ``symbol`` named by ``variables`` (names or positions), with their names and quantities."""
+    """The entries of ``symbol`` named by ``variables`` (names or positions), with their names and quantities.
+
+    ``labels`` and ``quantities`` are those of all entries. Raises ValueError for unknown or repeated variables.
+    """
     if variables is None:
         return symbol, labels, quantities
     given: list[Any] = [variables] if isinstance(variables, str) else list(variables)
@@ -128,14 +155,17 @@ def column_names(given: str | Sequence[str], size: int) -> tuple[str, ...]:
 
 
 def monomial(names: Sequence[str]) -> str:
-    """Name of a product: equal factors become a power."""
+    """Name of the product of columns called ``names``: equal factors become a power."""
     factors = list(names)
     unique = dict.fromkeys(factors)
     return "*".join(name if factors.count(name) == 1 else f"{name}^{factors.count(name)}" for name in unique)
 
 
 def linear_form(weights: Sequence[float], labels: Sequence[str], offset: float = 0.0) -> str:
-    """Text of w . v + offset, such as "2*x1-x2+0.5"; "0" if all numbers are zero."""
+    """Text of w . v + ``offset`` with ``weights`` w and variables called ``labels``, such as "2*x1-x2+0.5".
+
+    "0" if all numbers are zero.
+    """
     text = ""
     for weight, label in zip(weights, labels, strict=True):
         if weight:

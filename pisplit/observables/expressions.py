@@ -118,11 +118,17 @@ class CoordinateSource(Protocol):
     """A model that reads its own coordinates from measured states, such as a rod scene."""
 
     def coordinates(self, stations: Any) -> Any:
-        """An object with ``function`` (CasADi, x -> coordinates), ``names`` and ``quantities``."""
+        """An object with ``function`` (CasADi, x -> coordinates), ``names`` and ``quantities``.
+
+        ``stations`` are where the states are measured: arclengths [m] or their number.
+        """
 
 
 def RodCoordinates(scene: CoordinateSource, stations: Any = 6) -> StateMap:
-    """Columns of a rod's own coordinates (strains and their rates) read from its measured fields at stations."""
+    """Columns of a rod's own coordinates (strains and their rates) read from its fields measured at ``stations``.
+
+    ``scene`` is the rod, ``stations`` arclengths [m] or their number.
+    """
     found = scene.coordinates(stations)
     return StateMap(found.function, found.names, found.quantities)
 
@@ -131,7 +137,8 @@ def RodCoordinates(scene: CoordinateSource, stations: Any = 6) -> StateMap:
 class Equilibrium(Base):
     """Columns ``function(u)`` of a CasADi Function u (m,) -> (p,): features of the equilibrium x_eq(u) under u.
 
-    The function may contain a rootfinder or an interpolant. ``quantities`` default to one scale for all features.
+    The function may contain a rootfinder or an interpolant. ``names`` (p,) or one text; ``quantities`` default to one
+    scale for all features.
     """
 
     function: ca.Function

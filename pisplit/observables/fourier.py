@@ -43,7 +43,7 @@ class RandomFourier(OneSided):
     """sqrt(2/size) cos(w_j . v + b_j), j = 1 to ``size``: w_j normal with deviation 1 / ``width``, b_j uniform.
 
     Inner products of these columns approach the Gaussian kernel exp(-|v - v'|^2 / (2 width^2)). ``width``: one number
-    or one a variable [unit of v]. Equal seeds give equal columns.
+    or one a variable [unit of v]. An equal ``seed`` gives equal columns.
 
     Source: Rahimi and Recht, Random features for large-scale kernel machines (2007).
     """
@@ -70,7 +70,7 @@ class RandomFourier(OneSided):
 
 
 def per_variable(value: float | Sequence[float], name: str, size: int) -> np.ndarray:
-    """One number for all variables, or one for each (size,)."""
+    """One number ``value`` for all variables, or one for each (size,); errors call it ``name``."""
     numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if numbers.shape not in ((1,), (size,)):
         raise ValueError(f"{name} has {numbers.size} entries; expected one, or {size}, one a variable")

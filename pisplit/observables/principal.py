@@ -21,7 +21,7 @@ class Principal(Base):
     """Columns c = W (x - mean): the states' leading principal components, each of order one.
 
     Quadratic monomials of all fields of an arm are thousands of columns; ``compose(Polynomials(2), Principal.of(x,
-    12))`` are 78, and most of what they could tell. Weights W (k, n) and mean (n,) are data of the dictionary.
+    12))`` are 78, and most of what they could tell. ``weights`` W (k, n) and ``mean`` (n,) are data of the dictionary.
     """
 
     weights: Sequence[Sequence[float]] = field(repr=False)

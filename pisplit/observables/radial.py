@@ -20,7 +20,7 @@ KINDS = ("gaussian", "thin_plate")
 
 @dataclass(frozen=True)
 class Radial(OneSided):
-    """Functions of r_j = |(v - c_j) / width|: exp(-r^2 / 2) ("gaussian") or r^2 log r ("thin_plate").
+    """Functions of r_j = |(v - c_j) / width|; ``kind`` is exp(-r^2 / 2) ("gaussian") or r^2 log r ("thin_plate").
 
     ``centres``: k rows with one entry a variable. ``width``: one number or one a variable [unit of v].
     """
@@ -55,10 +55,13 @@ class Radial(OneSided):
         of: str = "states",
         variables: Sequence[str] | Sequence[int] | None = None,
     ) -> Radial:
-        """Centres among ``data`` (N, d), one column a variable: k-means, or rows drawn at random.
+        """``n_centres`` among ``data`` (N, d), one column a variable.
+
+        ``method`` "kmeans", or "random" rows by ``seed``.
 
         Distances are in standard deviations of the columns. ``width`` in the same measure; default: the median
         distance between neighbouring centres. k-means starts from spread seeds (Arthur and Vassilvitskii, 2007).
+        ``kind``, ``of`` and ``variables`` (d of them) as in the class.
         """
         rows = finite_array(data, "data", (None, None))
         size, rng = count(n_centres, "n_centres"), np.random.default_rng(count(seed, "seed", minimum=0))

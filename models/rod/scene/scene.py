@@ -130,7 +130,7 @@ class Scene(Equations):
         return found
 
     def simulator(self, dt: float, **options: object) -> Simulator:
-        """Dynamics over steps of ``dt`` seconds: see ``Simulator``."""
+        """Dynamics over steps of ``dt`` seconds; ``options`` are those of ``Simulator``."""
         from pisplit.models.rod.dynamics.integrator import Simulator
 
         return Simulator(self, dt, **options)  # type: ignore[arg-type]
@@ -168,7 +168,7 @@ class Scene(Equations):
         return cost(self)
 
     def stepper(self, dt: float, **options: object) -> Stepper:
-        """Dynamics over steps of ``dt`` seconds by a fixed-step scheme: see ``Stepper``."""
+        """Dynamics over steps of ``dt`` seconds by a fixed-step scheme; ``options`` are those of ``Stepper``."""
         from pisplit.models.rod.dynamics.stepper import Stepper
 
         return Stepper(self, dt, **options)  # type: ignore[arg-type]

@@ -1,0 +1,127 @@
+"""Every public function, method and class says what it does and names each of its arguments."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = ("pisplit", "models", "controllers")
+#: Arguments that need no word: the object itself, and what Python's own protocols hand over.
+UNNAMED = ("self", "cls")
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def files() -> list[Path]:
+    return sorted(p for room in ROOMS for p in (ROOT / room).rglob("*.py") if not p.name.startswith("_"))
+
+
+def public(name: str) -> bool:
+    return not name.startswith("_")
+
+
+def has(node: Function | ast.ClassDef, *decorators: str) -> bool:
+    return any(re.search(rf"\b({'|'.join(decorators)})\b", ast.unparse(d)) for d in node.decorator_list)
+
+
+def arguments(node: Function) -> list[str]:
+    """Names of the arguments that a caller gives, those with an underscore in front aside."""
+    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    rest = [a for a in (node.args.vararg, node.args.kwarg) if a is not None]
+    return [a.arg for a in (*given, *rest) if a.arg not in UNNAMED and public(a.arg)]
+
+
+def unnamed(names: list[str], text: str) -> list[str]:
+    return [name for name in names if not re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)]
+
+
+def fields(node: ast.ClassDef) -> list[str]:
+    """Fields that a dataclass takes."""
+    found = [s for s in node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
+    taken = [s for s in found if "ClassVar" not in ast.unparse(s.annotation) and "init=False" not in ast.unparse(s)]
+    return [s.target.id for s in taken if isinstance(s.target, ast.Name) and public(s.target.id)]
+
+
+def complaints(tree: ast.Module, known: dict[str, ast.ClassDef]) -> Iterator[tuple[int, str]]:
+    """Line and what is missing there; ``known`` are the classes that a class may inherit docstrings from."""
+    for node in tree.body:
+        if isinstance(node, Function) and public(node.name):
+            yield from of_function(node, node.name, "")
+        if isinstance(node, ast.ClassDef) and public(node.name):
+            yield from of_class(node, known)
+
+
+def of_function(node: Function, name: str, elsewhere: str) -> Iterator[tuple[int, str]]:
+    if has(node, "overload", "setter"):
+        return
+    text = ast.get_docstring(node) or elsewhere
+    if not text:
+        yield node.lineno, f"{name} has no docstring"
+    elif missing := unnamed(arguments(node), text + elsewhere):
+        yield node.lineno, f"{name} does not say: {', '.join(missing)}"
+
+
+def of_class(node: ast.ClassDef, known: dict[str, ast.ClassDef]) -> Iterator[tuple[int, str]]:
+    if ast.get_docstring(node) is None:
+        yield node.lineno, f"{node.name} has no docstring"
+        return
+    family = [node, *ancestors(node, known)]
+    made = next((m for m in methods(node) if m.name == "__init__"), None)
+    wanted = arguments(made) if made is not None else fields(node) if has(node, "dataclass") else []
+    if missing := unnamed(wanted, said_by([*family, *([made] if made else [])])):
+        yield node.lineno, f"{node.name} does not say: {', '.join(missing)}"
+    for member in methods(node):
+        if public(member.name):
+            above = [m for one in family[1:] for m in methods(one) if m.name == member.name]
+            yield from of_function(member, f"{node.name}.{member.name}", said_by(above))
+
+
+def said_by(nodes: Sequence[Function | ast.ClassDef]) -> str:
+    return " ".join(ast.get_docstring(n) or "" for n in nodes).strip()
+
+
+def methods(node: ast.ClassDef) -> list[Function]:
+    return [m for m in node.body if isinstance(m, Function)]
+
+
+def ancestors(node: ast.ClassDef, known: dict[str, ast.ClassDef]) -> list[ast.ClassDef]:
+    names = [ast.unparse(base).split("[")[0].split(".")[-1] for base in node.bases]
+    found = [known[name] for name in names if name in known and known[name] is not node]
+    return [*found, *(a for one in found for a in ancestors(one, known))]
+
+
+@cache
+def classes() -> dict[str, ast.ClassDef]:
+    trees = [ast.parse(path.read_text()) for path in files()]
+    return {n.name: n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef)}
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_every_argument_is_said(path: Path) -> None:
+    found = list(complaints(ast.parse(path.read_text()), classes()))
+    assert not found, "\n".join(f"{path}:{line}: {what}" for line, what in found)
+
+
+def test_what_is_not_said_is_found() -> None:
+    code = '''
+class Silent:
+    """Says nothing of its arguments."""
+    def __init__(self, told: int, other: int) -> None: ...
+    def move(self, by: float) -> None:
+        """Moves."""
+    def stay(self) -> None: ...
+def double(number: float, *rest: float) -> float:
+    """Twice the ``number``."""
+'''
+    assert [what for _, what in complaints(ast.parse(code), {})] == [
+        "Silent does not say: told, other",
+        "Silent.move does not say: by",
+        "Silent.stay has no docstring",
+        "double does not say: rest",
+    ]
