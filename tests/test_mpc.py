@@ -1,5 +1,6 @@
 """MPC: optimal where the QP is solved, admissible always."""
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -452,3 +453,26 @@ def test_a_model_without_inputs_controls_nothing() -> None:
     ):
         with pytest.raises(ValueError, match="the model has no inputs: nothing can be controlled"):
             make()
+
+
+def test_the_time_of_a_step_is_its_own() -> None:
+    """Not the time that the thread has taken before."""
+    model = arm_model(1)
+    mpc = MPC(model, 8, -0.01, 0.01, 0.003)
+    mpc.reset(model.input_offset)
+    start = time.thread_time()
+    while time.thread_time() - start < 0.3:
+        pass
+    assert 0.0 < mpc.step(np.zeros(6), np.zeros((8, 3))).cpu_time < 0.2
+
+
+def test_the_weights_of_a_bilinear_model_are_those_at_the_middle_of_its_limits() -> None:
+    """A model whose response does not depend on the state has the same problem written with products or without."""
+    model = arm_model(2, basis=np.eye(3))
+    limits = np.array([-0.02, 0.0, 0.01]), np.array([0.0, 0.03, 0.02]), 0.003
+    moves = []
+    for products in (None, np.zeros((3, 6, 6))):
+        mpc = MPC(replace(model, N=products), 8, *limits, rate_weight=1e-2, qp=EXACT)
+        mpc.reset(np.array([-0.01, 0.01, 0.015]))
+        moves.append(mpc.step(0.02 * np.ones(6), 0.05 * np.ones((8, 3))).u)
+    np.testing.assert_allclose(moves[0], moves[1], atol=1e-6)

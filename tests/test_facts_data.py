@@ -1,0 +1,133 @@
+"""Facts of recorded data: units from their definition, what a misfit is called, where runs begin, what is asked for."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from pisplit import Episodes
+from pisplit.data.episode_checks import _misfit
+from pisplit.data.resampling import Signal, _both
+from pisplit.data.units import UNITS, to_si
+
+PREFIXES = {"": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
+BASES = {"m": ("m", 1.0), "s": ("s", 1.0), "N": ("N", 1.0), "Pa": ("Pa", 1.0), "rad": ("rad", 1.0)}
+
+
+@pytest.mark.parametrize("unit", [u for u in UNITS if u])
+def test_units_are_their_prefix_times_their_base(unit: str) -> None:
+    others = {"deg": ("rad", math.pi / 180.0), "bar": ("Pa", 1e5), "V": ("V", 1.0), "A": ("A", 1.0)}
+    known = others | BASES | {p + b: (si, f * PREFIXES[p]) for b, (si, f) in BASES.items() for p in PREFIXES}
+    name, factor = to_si(unit, "x")
+    assert (name, factor) == (known[unit][0], pytest.approx(known[unit][1], rel=1e-15))
+    assert to_si(f"{unit}/ms", "x") == (f"{name}/s", pytest.approx(1e3 * factor, rel=1e-15))
+
+
+@pytest.mark.parametrize(
+    ("x", "u", "said"),
+    [
+        ((2, 11), (1, 10), "time runs along rows; give x.T and u.T"),
+        ((11, 2), (11, 1), "leave out the last, u[:-1]"),
+        ((11, 2), (1, 10), "give u.T"),
+        ((11, 2), (1, 11), "give u[:, :-1].T"),
+        ((3, 11), (10, 1), "is time along the columns of x? give x.T"),
+        ((3, 10), (10, 1), "is time along the columns of x? give x.T"),
+        ((1, 2), (0, 1), "at least two"),
+        ((11, 2), (7, 1), "us[4] has 7 rows for 11 states; expected 10 (one a step)"),
+        ((11, 12), (0, 11), "us[4] has 0 rows for 11 states"),
+    ],
+)
+def test_a_misfit_names_its_remedy(x: tuple[int, int], u: tuple[int, int], said: str) -> None:
+    assert said in _misfit(4, x, u)
+
+
+def test_many_columns_of_few_steps_are_asked_about_where_they_look_transposed() -> None:
+    with pytest.warns(UserWarning, match="is time along the columns"):
+        Episodes([np.random.default_rng(0).normal(size=(3, 201))], [np.zeros((2, 200))], 0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Episodes([np.random.default_rng(0).normal(size=(3, 200))], [np.zeros((2, 200))], 0.1)
+        Episodes([np.random.default_rng(0).normal(size=(201, 3))], [np.zeros((200, 2))], 0.1)
+
+
+def test_a_command_holds_until_the_last_step_ends() -> None:
+    """u = 1 from 0 s, 3 from 0.95 s: the step from 0.9 to 1 s has their mean over time."""
+    signal = Signal(np.array([0]), np.array([0.0, 0.95]), np.array([[1.0], [3.0]]))
+    assert signal.held(np.linspace(0.0, 1.0, 11))[:, 0] == pytest.approx([1.0] * 9 + [2.0], abs=1e-12)
+    early = Signal(np.array([0]), np.array([0.0, 0.95, 7.0]), np.array([[1.0], [3.0], [5.0]]))
+    assert early.held(np.linspace(0.0, 1.0, 11))[-1, 0] == pytest.approx(2.0, abs=1e-12)
+
+
+def test_common_spans_are_intersections() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        first, second = (sorted(rng.choice(40, 8, replace=False).reshape(4, 2).tolist()) for _ in range(2))
+        first, second = ([(min(a), max(a)) for a in s] for s in (first, second))
+        first, second = (_apart(s) for s in (first, second))
+        found = _both(first, second)
+        for t in np.arange(0.25, 40.0, 0.5):
+            inside = all(any(a <= t <= b for a, b in spans) for spans in (first, second))
+            assert inside == any(a <= t <= b for a, b in found)
+
+
+def _apart(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    found: list[tuple[float, float]] = []
+    for a, b in spans:
+        if not found or a > found[-1][1]:
+            found.append((a, b))
+    return found
+
+
+def test_all_pairs_may_be_sampled_and_not_one_more() -> None:
+    data = Episodes([np.random.default_rng(0).normal(size=(6, 1))], [np.zeros((5, 1))], 0.1)
+    assert np.array_equal(data.pairs().sample(5, 0).x, data.pairs().x)
+    with pytest.raises(ValueError, match="n = 6 pairs asked for; the episodes hold 5"):
+        data.pairs().sample(6, 0)
+
+
+def test_values_on_the_bounds_of_a_range_are_inside() -> None:
+    t, x = 0.1 * np.arange(6), np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    names: dict[str, list[str]] = {"state_names": ["x"], "input_names": ["u"]}
+    found = Episodes.from_arrays(t, x, np.zeros(6), ranges={"x": (0.0, 1.0)}, **names)
+    assert len(found) == 1
+    for bounds, value in (((0.1, 1.0), "x is 0 at 0 s"), ((0.0, 0.9), "x is 1 at 0.5 s")):
+        with pytest.raises(ValueError, match=value):
+            Episodes.from_arrays(t, x, np.zeros(6), ranges={"x": bounds}, **names)
+
+
+def test_a_step_is_absurd_by_its_ratio_to_the_samples() -> None:
+    """Milliseconds that are read as seconds are refused at any sample spacing, and a fine step is not."""
+    for spacing in (1e-3, 100.0):
+        t = spacing * np.arange(50)
+        with pytest.raises(ValueError, match="check time_unit"):
+            Episodes.from_arrays(t, np.sin(np.arange(50.0)), np.zeros(50), dt=1e-3 * spacing)
+        assert Episodes.from_arrays(t, np.sin(np.arange(50.0)), np.zeros(50), dt=spacing).dt == spacing
+
+
+@pytest.mark.parametrize(
+    ("t", "said"),
+    [
+        ([0.0, 0.1, 0.1, 0.2, 0.3], "1 repeated times"),
+        ([0.4, 0.3, 0.2, 0.1, 0.0], "runs backwards"),
+        ([*np.linspace(0.0, 3.0, 31), *np.linspace(0.0, 3.0, 31)], "several runs"),
+        ([0.0, 0.1, 0.3, 0.2, 0.4, 0.5], "out of order"),
+    ],
+)
+def test_a_clock_that_does_not_rise_is_told_apart(t: list[float], said: str) -> None:
+    with pytest.raises(ValueError, match=said) as found:
+        Episodes.from_arrays(np.array(t), np.zeros(len(t)), np.zeros(len(t)))
+    falls = [k for k in range(len(t) - 1) if t[k + 1] < t[k]] or [k for k in range(len(t) - 1) if t[k + 1] == t[k]]
+    assert f"after sample {falls[0]} " in str(found.value)
+
+
+@pytest.mark.parametrize("shape", [(7, 2), (2, 3, 10)])
+def test_matlab_variables_of_another_size_are_refused(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"t": 0.1 * np.arange(10), "x": np.zeros(shape), "u": np.zeros(10)})
+    with pytest.raises(ValueError, match="expected 10 rows, one a time"):
+        Episodes.from_mat(path, "t", "x", "u")

@@ -1,0 +1,82 @@
+"""Facts of lifted models: when a model is affine, which modes last, where a roll-out is held."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from pisplit import LiftedModel, modes
+from pisplit.lifted.formats import state_space_matrices
+
+
+def model(a: np.ndarray, c: np.ndarray | None = None, d: np.ndarray | None = None, reach: float = 1.0) -> LiftedModel:
+    n = len(a)
+    x, past, u = ca.SX.sym("x", n), ca.SX.sym("v", 1, 0), ca.SX.sym("u")
+    names = tuple(f"x{i}" for i in range(n))
+    return LiftedModel(
+        A=a,
+        B=np.ones((n, 1)),
+        c=np.zeros(n) if c is None else c,
+        C=np.eye(n),
+        d=np.zeros(n) if d is None else d,
+        dt=0.1,
+        lift_function=ca.Function("lift", [x, past], [x]),
+        input_function=ca.Function("phi", [u], [u]),
+        n_delays=0,
+        state_names=names,
+        input_names=("u",),
+        column_names=names,
+        feature_names=("u",),
+        input_offset=np.zeros(1),
+        input_basis=np.eye(1),
+        state_range=np.full(n, reach),
+    )
+
+
+@pytest.mark.parametrize("where", ["c", "d"])
+def test_one_affine_entry_makes_the_input_of_ones(where: str) -> None:
+    plain = model(0.5 * np.eye(2))
+    affine = model(0.5 * np.eye(2), **{where: np.array([0.0, 0.3])})
+    assert state_space_matrices(plain)[-1] == ("u",)
+    a, b, c, d, names = state_space_matrices(affine)
+    assert names == ("u", "1")
+    z, u = np.array([0.2, -0.1]), np.array([0.4])
+    assert a @ z + b @ [0.4, 1.0] == pytest.approx(affine.step(z, u))
+    assert c @ z + d @ [0.4, 1.0] == pytest.approx(affine.C @ z + affine.d)
+
+
+def test_damping_of_what_stays_falls_and_vanishes() -> None:
+    """Eigenvalues 1 (stays), 0 (gone at once), exp(-0.1 zeta w +- i 0.1 w sqrt(1 - zeta^2)) (swings), 0.5 (creeps)."""
+    w, zeta = 3.0, 0.2
+    rate = complex(-zeta * w, w * np.sqrt(1.0 - zeta**2))
+    swing = np.exp(0.1 * rate)
+    a = np.zeros((5, 5))
+    a[0, 0], a[3, 3] = 1.0, 0.5
+    a[1:3, 1:3] = [[swing.real, swing.imag], [-swing.imag, swing.real]]
+    found = modes(model(a))
+    by_value = {complex(np.round(v, 9)): i for i, v in enumerate(found.eigenvalues)}
+    stays, gone, creeps = by_value[1.0 + 0j], by_value[0j], by_value[0.5 + 0j]
+    assert found.rates[stays] == 0.0 and found.damping[stays] == 0.0 and np.isinf(found.time_constants[stays])
+    assert found.rates[gone].real == -np.inf and found.damping[gone] == 1.0 and found.time_constants[gone] == 0.0
+    assert found.rates[creeps] == pytest.approx(np.log(0.5) / 0.1) and found.damping[creeps] == pytest.approx(1.0)
+    swings = [i for i, v in enumerate(found.eigenvalues) if abs(v.imag) > 0.1]
+    assert found.damping[swings] == pytest.approx(zeta) and found.frequencies[swings] == pytest.approx(
+        w * np.sqrt(1.0 - zeta**2) / (2.0 * np.pi)
+    )
+
+
+@pytest.mark.parametrize("growth", [3.0, 1e7])
+def test_a_roll_out_is_held_at_the_last_state_before_it_diverges(growth: float) -> None:
+    grown = model(np.array([[growth]]))
+    found = grown.rollout(np.array([1.0]), np.zeros((12, 1)))
+    first = next(k for k in range(13) if growth**k > 1e3)
+    assert found.diverged and found.diverged_at == first
+    assert found.x[:first, 0] == pytest.approx(growth ** np.arange(first))
+    assert np.all(found.x[first:, 0] == found.x[first - 1, 0])
+
+
+def test_a_start_outside_the_range_diverges_at_once() -> None:
+    found = model(np.array([[0.5]])).rollout(np.array([[2e3], [1.0]]), np.zeros((2, 4, 1)))
+    assert np.asarray(found.diverged_at).tolist() == [0, -1]
+    assert np.all(found.x[0, :, 0] == 2e3) and found.x[1, -1, 0] == pytest.approx(0.5**4)
