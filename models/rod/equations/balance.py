@@ -68,7 +68,7 @@ class Balance:
         return loads
 
     @cached_property
-    def _force(self) -> ca.SX:
+    def internal_force(self) -> ca.SX:
         """World internal force N at the nodes (3, K)."""
         density = self.loads.force
         if self.inertia:
@@ -90,7 +90,7 @@ class Balance:
     @cached_property
     def _moment_density(self) -> ca.SX:
         """World moment per length, p_s x N + l - (R rho J omega)_t, at the nodes (3, K) in N."""
-        density = columnwise_cross(self.motion.tangent, self._force) + self.loads.moment
+        density = columnwise_cross(self.motion.tangent, self.internal_force) + self.loads.moment
         return density - self._rotary_inertia() if self.inertia else density
 
     @cached_property
@@ -109,7 +109,7 @@ class Balance:
     @cached_property
     def elastic_force(self) -> ca.SX:
         """Body force that the material carries, n = R^T N - stress_v, at the nodes (3, K) in N."""
-        return self.motion.to_body(self._force) - self.loads.stress_v
+        return self.motion.to_body(self.internal_force) - self.loads.stress_v
 
     @cached_property
     def residual(self) -> ca.SX:

@@ -155,7 +155,7 @@ class Equations(Contents):
         array = finite_array(u, name, shape)
         start = 0
         for item in self.inputs:
-            pull = self._pulls.get(item.name)
+            pull = self.pulls.get(item.name)
             if pull is not None:
                 pull.check(array[..., start : start + item.size].reshape(-1, item.size), name)
             start += item.size
@@ -166,7 +166,7 @@ class Equations(Contents):
         """Lowest and highest inputs (n_inputs,) each that ``checked_inputs`` lets pass, infinite where any will do."""
         low, high, start = np.full(self.n_inputs, -np.inf), np.full(self.n_inputs, np.inf), 0
         for item in self.inputs:
-            pull = self._pulls.get(item.name)
+            pull = self.pulls.get(item.name)
             if pull is not None:
                 entries = slice(start, start + item.size)
                 low[entries], high[entries] = pull.limits
@@ -174,7 +174,7 @@ class Equations(Contents):
         return _fixed(low), _fixed(high)
 
     @cached_property
-    def _pulls(self) -> dict[str, Pull]:
+    def pulls(self) -> dict[str, Pull]:
         """What the inputs of tendons may be, by input."""
         return {t.name: t.pull(self.rod, self.rule) for t in self.terms if isinstance(t, TendonTerm)}
 

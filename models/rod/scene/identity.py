@@ -52,7 +52,7 @@ def _about(scene: Scene, points: tuple[float, ...]) -> dict[str, object]:
         "balance": scene.balance_type.__name__,
         "nodes": scene.element_nodes,
         "inputs": [(i.name, i.size) for i in scene.inputs],
-        "limits": {name: pull.identity for name, pull in scene._pulls.items()},
+        "limits": {name: pull.identity for name, pull in scene.pulls.items()},
         "rates": scene.rod.natural_rates,
         "nominal": [scene.nominal_strains.tolist(), scene.nominal_residual.tolist(), scene.rest_coordinates.tolist()],
         "damped": scene.damped,

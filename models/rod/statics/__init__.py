@@ -1,1 +1,1 @@
-"""Equilibria: rootfinding with fallbacks, load continuation, boundary conditions at the tip, inverse statics."""
+"""Equilibria: rootfinding, the branch that slow loading reaches, boundary conditions at the tip, inverse statics."""

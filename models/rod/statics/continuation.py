@@ -1,17 +1,13 @@
-"""Finding a solution from afar: along a parameter from 0 to 1, or by sinking into a state of rest."""
+"""Finding a solution from afar: along a parameter from 0 to 1."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from pisplit.checks import Array
 
 FIRST_STEP = 0.125
 SMALLEST_STEP = 1e-5
-#: Pseudo-time of the first step of a relaxation, the largest change of an unknown in one step, and how many there are.
-FIRST_PACE, LONGEST_PACE, MOST_PACES = 1e-2, 1.0, 400
 
 
 def follow(solve: Callable[[float, Array], Array | None], start: Array) -> tuple[Array, float]:
@@ -37,34 +33,3 @@ def follow(solve: Callable[[float, Array], Array | None], start: Array) -> tuple
         if good >= 2:
             step, good = 2.0 * step, 0
     return x, t
-
-
-def relax(residual: Callable[[Array], Array], slope: Callable[[Array], Array], start: Array, to: float) -> Array:
-    """State of rest of x' = residual(x) near ``start``, or the nearest to rest that was found.
-
-    Implicit Euler steps that grow as the residual falls (pseudo-transient continuation: Kelley & Keyes, SIAM J. Numer.
-    Anal. 1998): the rod sinks as through a thick fluid, past folds at which load continuation ends. ``slope(x)`` is the
-    derivative of the residual; the search ends where no residual exceeds ``to``.
-    """
-    x, r = start, residual(start)
-    step, size = FIRST_PACE, float(np.linalg.norm(r))
-    best, least = x, size
-    for _ in range(MOST_PACES):
-        if not np.isfinite(size) or np.abs(r).max() <= to:
-            break
-        try:
-            change = np.linalg.solve(np.eye(len(x)) / step - slope(x), r)
-        except np.linalg.LinAlgError:
-            step *= 0.25
-            continue
-        longest = float(np.abs(change).max())
-        if not longest <= LONGEST_PACE:
-            step *= 0.25
-            continue
-        x = x + change
-        before, r = size, residual(x)
-        size = float(np.linalg.norm(r))
-        step = min(step * min(2.0, before / size if size else 2.0), 1e12) if size < 2.0 * before else 0.5 * step
-        if size < least:
-            best, least = x, size
-    return best

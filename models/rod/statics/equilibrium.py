@@ -19,14 +19,20 @@ class Equilibrium:
 
     Attributes:
         state: [xi, 0, u] (n_states,).
-        success: whether the residual is below tolerance.
+        success: whether the residual is below tolerance and the shape is one that the rod takes: stable, and on the
+            branch that ``branch`` says.
         residual: largest residual in parts of EI/L (moments) and EI/L^2 (forces).
-        iterations: Newton iterations of the solver that ended the search (all loads of a continuation together); None
-            after kinsol, whose CasADi interface does not report them.
-        solver: ``"kinsol"``, ``"newton"``, ``"continuation"`` or ``"relaxation"``.
+        iterations: of Newton's method; None after kinsol, whose interface does not report them, and after a path.
+        solver: ``"kinsol"``, ``"newton"`` or ``"path"``.
         tensions: tendon tensions in N.
         slack: by how much each tendon is longer than its path, in m (0 when taut).
-        message: why the search failed, empty on success.
+        message: why the search failed, or where stability was lost on the way; empty if nothing happened.
+        stable: whether no deformation goes on by itself; None where nobody looked.
+        branch: ``"unique"`` (there is no other equilibrium), ``"followed"`` (slow loading of the unloaded rod, or slow
+            motion of the inputs from the given state, ends here), ``"snapped"`` (the same, and stability was lost on
+            the way: the rod buckled or snapped through and came to rest again), ``"given"`` (stable and near the guess;
+            how it is reached is not known) or ``"unverified"``.
+        load_factor: part of the loads, or of the change of inputs, at which stability was lost first; 1 if it was not.
         scene: the scene in equilibrium.
     """
 
@@ -38,7 +44,15 @@ class Equilibrium:
     tensions: Array
     slack: Array
     message: str = ""
+    stable: bool | None = None
+    branch: str = "unverified"
+    load_factor: float = 1.0
     scene: Scene = field(repr=False, compare=False, kw_only=True)
+
+    @property
+    def margin(self) -> float:
+        """Least stiffness against any deformation in parts of the elastic one: 1 without loads, below 0 unstable."""
+        return self.scene.statics().margin(self.state)
 
     @property
     def strains(self) -> Array:
@@ -62,12 +76,16 @@ class EquilibriumBatch:
 
     Attributes:
         states: [xi, 0, u] (N, n_states).
-        success: (N,) whether the residual is below tolerance.
+        success: (N,) as in ``Equilibrium``.
         residual: (N,) in parts of EI/L.
         tensions: (N, tendons) in N.
+        branch: (N,) as in ``Equilibrium``.
+        load_factor: (N,) as in ``Equilibrium``.
     """
 
     states: Array
     success: np.ndarray
     residual: Array
     tensions: Array
+    branch: np.ndarray
+    load_factor: Array

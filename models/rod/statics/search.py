@@ -1,4 +1,4 @@
-"""The search for one equilibrium: kinsol first, then Newton, then the loads in steps, then relaxation."""
+"""The static balance of a scene in scaled form, and its roots by KINSOL and by Newton's method."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod.sharing import Rebuilt
-from pisplit.models.rod.statics.continuation import follow, relax
 from pisplit.models.rod.statics.memoryless import Memoryless
 
 if TYPE_CHECKING:
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 
 #: Largest scaled residual (parts of EI/L) of a state that counts as an equilibrium.
 TOLERANCE = 1e-8
-#: The same of a state that a relaxation hands over to Newton's method.
-COARSE = 1e-4
 #: Residual at which the rootfinders stop, well below ``TOLERANCE``.
 STOP = 1e-10
 
@@ -40,7 +37,7 @@ class Search(Rebuilt):
     # The equations ---------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _graph(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def graph(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Scaled unknowns, inputs, load factor and scaled residual; the load factor multiplies what deforms the rod."""
         scene = self.scene
         n = scene.n_strains
@@ -54,13 +51,13 @@ class Search(Rebuilt):
     @cached_property
     def residual_function(self) -> ca.Function:
         """``(x, u) -> residual``."""
-        x, u, load, residual = self._graph
+        x, u, load, residual = self.graph
         return ca.Function("residual", [x, u], [ca.substitute(residual, load, ca.SX(1))], {"cse": True})
 
     @cached_property
     def slopes(self) -> ca.Function:
         """``(x, u) -> `` derivatives of the residual with respect to both."""
-        x, u, load, residual = self._graph
+        x, u, load, residual = self.graph
         residual = ca.substitute(residual, load, ca.SX(1))
         return ca.Function("slopes", [x, u], [ca.jacobian(residual, x), ca.jacobian(residual, u)], {"cse": True})
 
@@ -91,12 +88,7 @@ class Search(Rebuilt):
 
     # Rootfinders -----------------------------------------------------------------------------------------------------
 
-    def _rootfinder(self, solver: str, loaded: bool, raises: bool = True) -> ca.Function:
-        x, u, load, residual = self._graph
-        if loaded:
-            function = self.scene.native(self.residual_function)
-        else:
-            function = ca.Function("g", [x, u, load], [residual], {"cse": True})
+    def _rootfinder(self, solver: str, raises: bool) -> ca.Function:
         options: dict[str, Any] = {
             "error_on_fail": raises,
             "abstol": STOP,
@@ -106,70 +98,50 @@ class Search(Rebuilt):
         }
         if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
             options |= {"strategy": "linesearch", "disable_internal_warnings": True}
-        return ca.rootfinder("equilibrium", solver, function, options)
+        return ca.rootfinder("equilibrium", solver, self.scene.native(self.residual_function), options)
 
     @cached_property
     def kinsol(self) -> ca.Function:
         """``(x_guess, u) -> x`` by KINSOL with a line search."""
-        return self._rootfinder("kinsol", True)
+        return self._rootfinder("kinsol", raises=True)
 
     @cached_property
     def _cold_kinsol(self) -> Memoryless:
-        return Memoryless(lambda: self._rootfinder("kinsol", True))
+        return Memoryless(lambda: self._rootfinder("kinsol", raises=True))
 
-    def kinsol_of_rows(self, rows: int) -> ca.Function:
+    def of_rows(self, rows: int, mild: bool) -> ca.Function:
         """``(x_guesses, u) -> x`` of many columns, built anew because KINSOL remembers (see ``Memoryless``).
 
-        A column that fails neither ends the call nor prints its inputs; its residual tells.
+        A column that fails does not end the call; its residual tells.
 
         Args:
             rows: their number.
+            mild: whether there is only one root each, by KINSOL; else by Newton's method, which fails without a word.
         """
-        return self._rootfinder("kinsol", True, raises=False).map(rows)
+        return self._rootfinder("kinsol" if mild else "newton", raises=False).map(rows)
 
     @cached_property
     def newton(self) -> ca.Function:
         """``(x_guess, u) -> x`` by damped Newton."""
-        return self._rootfinder("newton", True)
-
-    @cached_property
-    def _newton_at_load(self) -> ca.Function:
-        """``(x_guess, u, load) -> x``."""
-        return self._rootfinder("newton", False)
+        return self._rootfinder("newton", raises=False)
 
     # Searching -------------------------------------------------------------------------------------------------------
 
-    def find(self, u: Array, x0: Array) -> tuple[Array, int | None, str]:
-        """Solver after solver until one converges.
+    def find(self, u: Array, x0: Array, mild: bool) -> tuple[Array, int | None, str]:
+        """A root of the balance, or the last iterate.
 
         Args:
             u: inputs (n_inputs,).
             x0: unknowns (n_strains,) to start from.
+            mild: whether there is only one; then KINSOL, which takes stiff tendons in its stride, is first.
 
         Returns the last iterate (n_strains,), its iterations and the solver's name.
         """
-        x = attempt(self._cold_kinsol, x0, u)
-        if self.worst(x, u) <= TOLERANCE:
-            return x, None, "kinsol"
-        x = attempt(self.newton, x0, u)
-        if self.worst(x, u) <= TOLERANCE:
-            return x, _iterations(self.newton), "newton"
-        total = 0
-
-        def at_load(load: float, guess: Array) -> Array | None:
-            nonlocal total
-            x = attempt(self._newton_at_load, guess, u, load)
-            total += _iterations(self._newton_at_load)
-            return x if np.all(np.isfinite(x)) else None
-
-        x, _ = follow(at_load, np.zeros_like(x0))
-        if self.worst(x, u) <= TOLERANCE:
-            return x, total, "continuation"
-        sunk = relax(lambda x: self.residual(x, u), lambda x: np.asarray(self.slopes(x, u)[0]), x, COARSE)
-        refined = attempt(self.newton, sunk, u)
-        if np.all(np.isfinite(refined)):
-            x, total = refined, _iterations(self.newton)
-        return x, total, "relaxation"
+        if mild:
+            x = attempt(self._cold_kinsol, x0, u)
+            if self.worst(x, u) <= TOLERANCE:
+                return x, None, "kinsol"
+        return attempt(self.newton, x0, u), _iterations(self.newton), "newton"
 
     def along(self, x: Array, u: Array, change: Array) -> Array:
         """Change (n_strains,) of the root ``x`` under ``u`` with a ``change`` (n_inputs,) of the inputs."""

@@ -15,13 +15,17 @@ from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tan
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium
+from pisplit.models.rod.statics.branch import Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
 from pisplit.models.rod.statics.search import TOLERANCE, Search, attempt
 
 
 class Statics(Rebuilt):
-    """Equilibria of a scene: kinsol first, then Newton, then the loads in steps, then by relaxation (see ``Search``).
+    """Equilibria of a scene: the shape that slow loading reaches, or a word that it is another (see ``Branches``).
+
+    KINSOL or Newton's method finds a root; unless it is the only one, it is unloaded step by step, or loading is
+    followed from nothing.
 
     May be copied, pickled and sent to workers; calls from several threads wait for one another.
 
@@ -36,6 +40,11 @@ class Statics(Rebuilt):
     def search(self) -> Search:
         """The scaled balance and its rootfinders."""
         return Search(self.scene)
+
+    @cached_property
+    def branches(self) -> Branches:
+        """Tells which equilibrium it is."""
+        return Branches(self.search)
 
     @property
     def residual_function(self) -> ca.Function:
@@ -72,9 +81,12 @@ class Statics(Rebuilt):
         scene, search = self.scene, self.search
         u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
-        x, iterations, solver = search.find(u, x0)
+        x, iterations, solver = search.find(u, x0, self.branches.unique(u))
+        verdict = self._verdict(x, u, x0 if guess is not None else None, guess)
+        if verdict.x is not x:
+            x, iterations, solver = verdict.x, None, "path"
         residual = search.worst(x, u)
-        success = bool(residual <= TOLERANCE)
+        success = bool(residual <= TOLERANCE and verdict.branch != "unverified")
         tensions, slack = self._read(x, u)
         return Equilibrium(
             state=np.concatenate([search.strains(x), np.zeros(scene.n_strains), u]),
@@ -84,11 +96,23 @@ class Statics(Rebuilt):
             solver=solver,
             tensions=tensions,
             slack=slack,
-            message=""
-            if success
-            else f"no equilibrium found: residual {residual:.1e} EI/L after kinsol, Newton, continuation, relaxation",
+            message=verdict.message if success or verdict.message else f"not converged: residual {residual:.1e} EI/L",
+            stable=verdict.stable,
+            branch=verdict.branch if success else "unverified",
+            load_factor=verdict.load_factor,
             scene=scene,
         )
+
+    def _verdict(self, x: Array, u: Array, start: Array | None, guess: ArrayLike | None) -> Verdict:
+        """What is known of the candidate ``x``; where it is not on the branch that was asked for, the one that is."""
+        branches, n = self.branches, self.scene.n_strains
+        converged = self.search.worst(x, u) <= TOLERANCE
+        if start is None:
+            return branches.of_root(x, u, converged)
+        given = np.asarray(guess, dtype=np.float64).ravel()
+        if given.size == self.scene.n_states and branches.rests(start, given[2 * n :]):
+            return branches.of_state(x, u, start, given[2 * n :], converged)
+        return branches.near(x, u) if converged else branches.of_root(x, u, converged)
 
     @in_turn()
     def solve_many(self, inputs: ArrayLike, progress: bool = False, chunk: int = 512) -> EquilibriumBatch:
@@ -103,20 +127,28 @@ class Statics(Rebuilt):
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         found = np.empty((len(rows), scene.n_strains))
         worst = np.empty(len(rows))
-        guess = self._affine_guess(rows)
+        guess, mild = self._affine_guess(rows), all(self.branches.unique(u) for u in rows)
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
-            x = np.asarray(search.kinsol_of_rows(len(block))(guess(block).T, block.T)).T
+            x = np.asarray(search.of_rows(len(block), mild)(guess(block).T, block.T)).T
             found[start : start + len(block)] = x
             worst[start : start + len(block)] = search.worst_of_rows(x, block)
-        for k in np.flatnonzero(worst > TOLERANCE):
-            found[k], _, _ = search.find(rows[k], np.zeros(scene.n_strains))
-            worst[k] = search.worst(found[k], rows[k])
+        branch, factor, zero = np.full(len(rows), "unique", dtype=object), np.ones(len(rows)), np.zeros(scene.n_strains)
+        for k, u in enumerate(rows):
+            if worst[k] > TOLERANCE:
+                found[k], _, _ = search.find(u, zero, self.branches.unique(u))
+                worst[k] = search.worst(found[k], u)
+            verdict = self.branches.of_root(found[k], u, bool(worst[k] <= TOLERANCE))
+            if verdict.x is not found[k]:
+                found[k] = verdict.x
+                worst[k] = search.worst(found[k], u)
+            branch[k], factor[k] = verdict.branch, verdict.load_factor
         strains = search.strains(found)
         readings = self._readings.map(len(rows)) if len(rows) else None
         tensions = np.asarray(readings(strains.T, rows.T)[0]).T if readings else np.empty((0, 0))
         states = np.hstack([strains, np.zeros_like(found), rows])
-        return EquilibriumBatch(states, worst <= TOLERANCE, worst, tensions)
+        branch[worst > TOLERANCE] = "unverified"
+        return EquilibriumBatch(states, branch != "unverified", worst, tensions, branch.astype(str), factor)
 
     @in_turn()
     def sweep(self, inputs: ArrayLike) -> EquilibriumBatch:
@@ -130,20 +162,25 @@ class Statics(Rebuilt):
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         found, tensions = np.empty((len(rows), scene.n_strains)), []
-        worst = np.empty(len(rows))
+        worst, factor = np.empty(len(rows)), np.ones(len(rows))
+        branch = np.full(len(rows), "unverified", dtype=object)
         x, before = np.zeros(scene.n_strains), None
         for k, u in enumerate(rows):
             guess = x if before is None else x + search.along(x, before, u - before)
-            found[k] = attempt(search.newton, guess, u)
+            candidate = attempt(search.newton, guess, u)
+            converged = search.worst(candidate, u) <= TOLERANCE
+            if before is None:
+                verdict = self.branches.of_root(candidate, u, converged)
+            else:
+                verdict = self.branches.of_state(candidate, u, x, before, converged)
+            found[k] = verdict.x
             worst[k] = search.worst(found[k], u)
-            if worst[k] > TOLERANCE:
-                found[k], _, _ = search.find(u, x)
-                worst[k] = search.worst(found[k], u)
-            if worst[k] <= TOLERANCE:
-                x, before = found[k], u
+            if worst[k] <= TOLERANCE and verdict.branch != "unverified":
+                x, before, branch[k] = found[k], u, verdict.branch
+            factor[k] = verdict.load_factor
             tensions.append(self._read(found[k], u)[0])
         states = np.hstack([search.strains(found), np.zeros_like(found), rows])
-        return EquilibriumBatch(states, worst <= TOLERANCE, worst, np.array(tensions))
+        return EquilibriumBatch(states, branch != "unverified", worst, np.array(tensions), branch.astype(str), factor)
 
     # What an equilibrium depends on ----------------------------------------------------------------------------------
 
@@ -165,6 +202,17 @@ class Statics(Rebuilt):
     @cached_property
     def _tangents(self) -> dict[float, Tangent]:
         return {}
+
+    @in_turn()
+    def margin(self, state: ArrayLike) -> float:
+        """Least stiffness of a ``state`` [xi, 0, u] (n_states,) at rest, in parts of the elastic one.
+
+        Negative: unstable. Without an energy (follower loads, friction) it is the least real part of the eigenvalues,
+        which rules out buckling, not flutter.
+        """
+        x = checked_state(self.scene, state)
+        n = self.scene.n_strains
+        return self.branches.margin(self.search.scaled(x[:n]), x[2 * n :])
 
     @in_turn()
     def stability(self, state: ArrayLike) -> Stability:
@@ -237,7 +285,7 @@ class Statics(Rebuilt):
         n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
         if len(rows) < 4 * pilots:
             return lambda block: np.zeros((len(block), n))
-        solved = np.array([self.search.find(u, np.zeros(n))[0] for u in rows[:pilots]])
+        solved = np.array([self.search.find(u, np.zeros(n), self.branches.unique(u))[0] for u in rows[:pilots]])
         lift = np.hstack([np.ones((pilots, 1)), rows[:pilots]])
         coefficients = np.linalg.lstsq(lift, solved, rcond=None)[0]
         return lambda block: coefficients[0] + block @ coefficients[1:]

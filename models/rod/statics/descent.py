@@ -1,0 +1,103 @@
+"""Downhill to a shape at rest, as through a thick fluid, and how a shape is told to be stable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dgesv, dpotrf
+
+from pisplit.checks import Array
+from pisplit.models.rod.statics.whitened import Way
+
+#: Stiffness, in parts of the elastic one, down to which a shape passes for stable: rotations that cost nothing do.
+NEUTRAL = 1e-3
+#: Longest step of a descent [rad, root mean square] and largest share of it that the next force may gainsay.
+LONGEST, GAINSAID = 0.5, 0.5
+#: First pseudo-time of a descent, the least one, and how many steps it may take.
+FIRST_PACE, LEAST_PACE, MOST_STEPS = 0.1, 1e-8, 600
+#: Force at which a descent is at rest.
+AT_REST = 1e-3
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Tells stable shapes by their stiffness H (n, n).
+
+    Attributes:
+        has_energy: whether the loads have one, so that H is symmetric up to the error of the grid.
+    """
+
+    has_energy: bool
+
+    def stable(self, stiffness: Array) -> bool:
+        """Whether no deformation goes on by itself under ``stiffness`` (n, n)."""
+        if not np.isfinite(stiffness).all():
+            return False
+        if not self.has_energy:
+            return bool(np.linalg.eigvals(stiffness).real.min() > -NEUTRAL)
+        return definite(stiffness, NEUTRAL)
+
+    def kept(self, now: Array, before: Array, share: float, slack: float) -> bool:
+        """Whether the stiffness ``now`` keeps a ``share`` of the one ``before`` in every direction, up to ``slack``."""
+        if not self.has_energy:
+            return self.stable(now)
+        return bool(np.isfinite(now).all()) and definite(now - share * before, slack)
+
+    def softest(self, stiffness: Array) -> tuple[float, Array]:
+        """Least eigenvalue, in parts of the elastic stiffness, and its direction (n,) of length 1."""
+        if not self.has_energy:
+            values, vectors = np.linalg.eig(stiffness)
+            k = int(values.real.argmin())
+            direction = vectors[:, k].real
+            return float(values[k].real), direction / np.linalg.norm(direction)
+        values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+        return float(values[0]), vectors[:, 0]
+
+
+def definite(stiffness: Array, shift: float) -> bool:
+    """Whether the symmetric part of ``stiffness`` (n, n), with ``shift`` added, is positive definite."""
+    lower = 0.5 * (stiffness + stiffness.T)
+    lower.flat[:: len(lower) + 1] += shift
+    return bool(dpotrf(lower, lower=1, clean=0)[1] == 0)
+
+
+def solved(stiffness: Array, force: Array) -> Array:
+    """The deformation (n,) that balances ``force`` (n,); the least one where ``stiffness`` (n, n) is singular."""
+    _, _, found, info = dgesv(stiffness, force)
+    if info == 0:
+        return np.asarray(found)
+    return np.asarray(np.linalg.lstsq(stiffness, force, rcond=1e-12)[0])
+
+
+def descend(way: Way, y: Array, t: float, judge: Judge) -> tuple[Array, bool]:
+    """Where a rod with the strains ``y`` (n,) sinks to, and whether it came to a stable rest there.
+
+    y' = g(y) at the point ``t`` of the ``way`` by linearly implicit Euler steps under error control. Where loads
+    have an energy no step goes uphill: its change is the work of the mean force. The ``judge`` tells stable shapes.
+    """
+    force, stiffness, _ = way(y, t)
+    pace, identity = FIRST_PACE, np.eye(len(y))
+    for _ in range(MOST_STEPS):
+        if np.abs(force).max() < AT_REST and judge.stable(stiffness):
+            return y, True
+        damped = stiffness + identity / pace
+        if not judge.stable(damped):
+            pace *= 0.5
+            continue
+        step = solved(damped, force)
+        length = float(np.linalg.norm(step))
+        if not length <= LONGEST:
+            pace *= max(0.2, 0.7 * LONGEST / length) if np.isfinite(length) else 0.2
+            continue
+        ahead, stiffness_ahead, _ = way(y + step, t)
+        error = float(np.linalg.norm(ahead - step / pace)) / max(length / pace, 1e-300)
+        uphill = judge.has_energy and 0.5 * float((force + ahead) @ step) < -1e-9
+        if not error <= GAINSAID or uphill:
+            if pace < LEAST_PACE:
+                break
+            pace *= 0.4
+            continue
+        y, force, stiffness = y + step, ahead, stiffness_ahead
+        pace = min(pace * (2.0 if error < 0.5 * GAINSAID else 1.1), 1e9)
+    return y, False
