@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 import warnings
 from pathlib import Path
@@ -11,9 +12,12 @@ import pytest
 from scipy.io import savemat
 
 from pisplit import Episodes
+from pisplit.data.clock import seconds
 from pisplit.data.episode_checks import _misfit
 from pisplit.data.resampling import Signal, _both
+from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
+from pisplit.lifted.operators import state_range
 
 PREFIXES = {"": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 BASES = {"m": ("m", 1.0), "s": ("s", 1.0), "N": ("N", 1.0), "Pa": ("Pa", 1.0), "rad": ("rad", 1.0)}
@@ -131,3 +135,61 @@ def test_matlab_variables_of_another_size_are_refused(tmp_path: Path, shape: tup
     savemat(path, {"t": 0.1 * np.arange(10), "x": np.zeros(shape), "u": np.zeros(10)})
     with pytest.raises(ValueError, match="expected 10 rows, one a time"):
         Episodes.from_mat(path, "t", "x", "u")
+
+
+def test_runs_of_a_table_are_told_by_their_column(tmp_path: Path) -> None:
+    path = tmp_path / "runs.csv"
+    rows = [f"{0.1 * k:g},{run + 0.01 * k:g},{k},{run}" for run in (1, 2) for k in range(6)]
+    path.write_text("t,x,u,run\n" + "\n".join(rows) + "\n")
+    found = Episodes.from_csv(path, "t", "x", "u", episode="run")
+    assert [float(x[0, 0]) for x in found.xs] == [1.0, 2.0] and [len(u) for u in found.us] == [5, 5]
+
+
+@pytest.mark.parametrize("zone", [None, datetime.timezone(datetime.timedelta(hours=2))])
+def test_instants_are_seconds_since_the_first_and_missing_ones_missing(zone: datetime.tzinfo | None) -> None:
+    start = datetime.datetime(2026, 3, 29, 0, 30, tzinfo=zone)
+    t = [start + datetime.timedelta(seconds=0.5 * k) for k in range(6)]
+    assert seconds(np.array(t, dtype=object), "s") == pytest.approx(0.5 * np.arange(6))
+    t[2] = None  # type: ignore[call-overload]
+    assert seconds(np.array(t, dtype=object), "s") == pytest.approx([0.0, 0.5, np.nan, 1.5, 2.0, 2.5], nan_ok=True)
+    durations = [datetime.timedelta(seconds=2 + k) for k in range(3)]
+    assert seconds(np.array(durations, dtype=object), "s") == pytest.approx([2.0, 3.0, 4.0])
+
+
+def test_masked_and_missing_instants_are_missing() -> None:
+    t = np.array(["2026-01-01T00:00:00", "2026-01-01T00:00:01", "NaT", "2026-01-01T00:00:03"], "M8[s]")
+    masked = np.ma.MaskedArray(t, mask=[False, True, False, False])
+    assert seconds(masked, "s") == pytest.approx([0.0, np.nan, np.nan, 3.0], nan_ok=True)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_ticks_with_more_digits_than_a_float_keep_their_differences(sign: int) -> None:
+    ticks = sign * np.int64(1_790_000_000_000_000_001) + np.arange(5, dtype=np.int64) * 7
+    assert np.diff(seconds(ticks, "ns")) == pytest.approx(7e-9, rel=1e-12)
+
+
+def test_a_roll_out_needs_one_step_after_its_history() -> None:
+    data = Episodes([np.arange(4.0)[:, None]], [np.zeros((3, 1))], 0.1)
+    start = data.start(0, 2)
+    assert start.inputs.shape == (1, 1) and start.states[:, 0].tolist() == [2.0, 3.0]
+    with pytest.raises(ValueError, match="episode 0 has 3 steps; 3 delays need at least 4"):
+        data.start(0, 3)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_what_looks_transposed_begins_at_four_inputs_a_step(asked: bool) -> None:
+    """2 steps of 9 inputs are more than four a step, 3 steps are not."""
+    steps = 2 if asked else 3
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        Episodes([np.random.default_rng(0).normal(size=(steps + 1, 10))], [np.zeros((steps, 9))], 0.1)
+    assert any("along the columns" in str(w.message) for w in said) is asked
+
+
+def test_release_numbers_are_compared_by_their_first_two_parts() -> None:
+    assert _release("3.7.2") == _release("3.7.0") == (3, 7) < _release("3.10.0") == (3, 10)
+
+
+def test_the_largest_magnitude_of_a_quantity_is_that_of_all_its_states() -> None:
+    data = Episodes([np.array([[0.1, -0.3, 0.0], [0.2, 0.2, 0.0]])], [np.zeros((1, 1))], 0.1)
+    assert state_range(data.pairs(), ("q", "q", "w")) == pytest.approx([0.3, 0.3, 1.0])

