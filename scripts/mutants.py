@@ -114,8 +114,8 @@ def _chosen(source: Path, given: argparse.Namespace) -> dict[str, list[Mutation]
     for room, names in files(source).items():
         wanted = [name for name in names if given.module in name]
         found = [m for name in wanted for m in mutations(name, (source / name).read_bytes())]
+        generator.shuffle(found)  # before anything is left out: a longer list of equivalents changes no other choice
         pools[room] = [m for m in found if reason_for(m) is None]
-        generator.shuffle(pools[room])
     pools = {room: pool for room, pool in pools.items() if pool}
     if not pools:
         raise ValueError(f"no file that is mutated has {given.module!r} in its path; see mutation/rooms.py")
