@@ -14,9 +14,11 @@ from scipy.io import savemat
 from pisplit import Episodes
 from pisplit.data.clock import seconds
 from pisplit.data.episode_checks import _misfit
+from pisplit.data.recordings import _jitter
 from pisplit.data.resampling import Signal, _both
 from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
+from pisplit.lifted.formats import _listed
 from pisplit.lifted.operators import state_range
 
 PREFIXES = {"": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
@@ -193,3 +195,23 @@ def test_release_numbers_are_compared_by_their_first_two_parts() -> None:
 def test_the_largest_magnitude_of_a_quantity_is_that_of_all_its_states() -> None:
     data = Episodes([np.array([[0.1, -0.3, 0.0], [0.2, 0.2, 0.0]])], [np.zeros((1, 1))], 0.1)
     assert state_range(data.pairs(), ("q", "q", "w")) == pytest.approx([0.3, 0.3, 1.0])
+
+
+def test_jitter_counts_early_readings_and_late_ones() -> None:
+    for odd in (0.06, 0.14):
+        times = np.cumsum([0.0, 0.1, 0.1, odd, 0.1, 0.1, 0.1])
+        signal = Signal(np.array([0]), times, np.zeros((7, 1)))
+        assert _jitter([[signal]]) == pytest.approx(0.04)
+
+
+def test_warnings_point_to_the_line_that_reads_the_recording() -> None:
+    t = np.concatenate([0.1 * np.arange(30), 40.0 + 0.1 * np.arange(30)])
+    u = np.where(np.arange(60) % 30 > 20, np.nan, 1.0)
+    with pytest.warns(UserWarning) as said:
+        Episodes.from_arrays(t, np.sin(t), u, max_gap=0.3)
+    assert {w.filename for w in said} == {__file__}
+
+
+def test_names_in_a_comment_of_c_do_not_end_it() -> None:
+    assert _listed(("a*/b", "c"), ("m", "")) == "a* /b [m], c"
+    assert _listed((), ()) == "none" and _listed(("q\u00e9",), ("",)) == "q?"
