@@ -31,6 +31,8 @@ MAX_STEPS_TOGETHER = 2_000
 #: are the second choice, for the few starts that fail without. Shapes far from the slow motions of the rod, whose
 #: first accelerations are 1e7 times those that follow, start with ``calc_ic`` from plain states.
 STARTS = ((0.0, 1.0, False), (1.0, 1.0, False), (0.0, 0.0, True))
+#: Shortest time for which a first derivative is carried, in parts of dt.
+LEAST_FADING = 1e-4
 
 
 class Simulator(Propagation):
@@ -88,7 +90,8 @@ class Simulator(Propagation):
         for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
             integrator = self._integrator(steps, correct, energy)
             rates = np.concatenate([of_strains * moving, of_rates * accelerations])
-            given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates])}
+            fading = self._fading_time(rates)
+            given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates, [fading]])}
             try:
                 found = integrator(**given, u=controls.T)
             except RuntimeError as error:
@@ -96,7 +99,8 @@ class Simulator(Propagation):
                 if "IDA_TOO_MUCH_WORK" in str(error):
                     break
                 continue
-            states = start[: 2 * n] + self.dt * -np.expm1(-t / self.dt)[:, None] * rates + np.asarray(found["xf"]).T
+            carried = -fading * np.expm1(-t / fading)[:, None] * rates
+            states = start[: 2 * n] + carried + np.asarray(found["xf"]).T
             if energy:
                 states = np.hstack([states, np.asarray(found["qf"]).T])
             if np.all(np.isfinite(states)):
@@ -116,6 +120,22 @@ class Simulator(Propagation):
         raise NotImplementedError(
             "IDAS gives no derivatives of a step; use scene.stepper(dt, step=...).sensitivity(x, u), of fixed steps"
         )
+
+    @cached_property
+    def _nominal(self) -> Array:
+        """Typical strains, rates and accelerations (3 n_strains,)."""
+        scene = self.equations
+        rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
+        return np.concatenate([scene.nominal_strains * rates**k for k in range(3)])
+
+    def _fading_time(self, rates: Array) -> float:
+        """T [s] of the motion that ``_build`` carries from the first derivative ``rates`` (2 n_strains,).
+
+        It is dt, but where an input jumps: accelerations of 1e10 that last for a microsecond would be carried to rates
+        that the rod never has, and IDAS would measure its errors by them. No state is carried farther than is typical.
+        """
+        largest = float(np.max(np.abs(rates) / self._nominal[: len(rates)], initial=0.0))
+        return min(self.dt, max(1.0 / largest, LEAST_FADING * self.dt)) if largest > 0.0 else self.dt
 
     # The integrator --------------------------------------------------------------------------------------------------
 
@@ -145,15 +165,15 @@ class Simulator(Propagation):
         scene = self.equations
         n, m = scene.n_strains, scene.n_inputs
         deviation, z = ca.MX.sym("deviation", 2 * n), ca.MX.sym("z", n)
-        start = ca.MX.sym("start", 4 * n)
+        start, fading = ca.MX.sym("start", 4 * n), ca.MX.sym("fading")
         control, t = ca.MX.sym("control", 2 * m + 1), ca.MX.sym("t")
-        fade = ca.exp(-t / self.dt)
-        x = start[: 2 * n] + self.dt * (1.0 - fade) * start[2 * n :] + deviation
+        fade = ca.exp(-t / fading)
+        x = start[: 2 * n] + fading * (1.0 - fade) * start[2 * n :] + deviation
         u = control[:m] + control[m : 2 * m] * (t - control[2 * m])
         dae = {
             "x": deviation,
             "z": z,
-            "p": start,
+            "p": ca.vertcat(start, fading),
             "u": control,
             "t": t,
             "ode": ca.vertcat(x[n:], z) - fade * start[2 * n :],
@@ -163,11 +183,9 @@ class Simulator(Propagation):
             dae["quad"] = powers(scene)(x[:n], x[n:], u)
         rate, alone = scene.rod.bending_rate, MAX_STEPS if scene.damped else MAX_STEPS_UNDAMPED
         most = alone if steps == 1 else MAX_STEPS_TOGETHER
-        rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
-        nominal = np.concatenate([scene.nominal_strains * rates**k for k in range(3)])
         options = {
             "reltol": self.rtol,
-            "abstolv": (self.rtol * nominal).tolist(),
+            "abstolv": (self.rtol * self._nominal).tolist(),
             "suppress_algebraic": True,
             "calc_ic": correct_first,
             "linear_solver": "csparse",
