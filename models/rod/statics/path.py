@@ -121,9 +121,10 @@ def _ended(way: Way, y: Array, judge: Judge, events: tuple[Event, ...]) -> Walk:
         force, stiffness, _ = way(y, 1.0)
         if not np.isfinite(force).all():
             break
-        if np.abs(force).max() < BALANCED:
-            return Walk(y, 1.0, judge.stable(stiffness), events)
         step = solved(_shifted(stiffness, 1e-2 * SHIFT), force)
+        if np.abs(force).max() < BALANCED:
+            last = step if np.linalg.norm(step) < ACROSS else 0.0  # the last digits, for nothing
+            return Walk(y + last, 1.0, judge.stable(stiffness), events)
         if not np.linalg.norm(step) <= 0.3:
             break
         y = y + step
