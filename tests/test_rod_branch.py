@@ -9,6 +9,7 @@ from scipy.special import ellipk, ellipkinc
 
 from pisplit.models import rod
 from pisplit.models.arm import TendonArm
+from pisplit.models.calibration.parametrised import CalibratedTendons
 from pisplit.models.rod.statics.certificate import Certificate
 
 EULER = np.pi**2 / 4.0
@@ -91,6 +92,33 @@ def test_the_bound_of_the_certificate_is_below_every_stiffness() -> None:
                     xi = rng.normal(size=scene.n_strains) * 3.0
                     margin = scene.statics().margin(np.concatenate([xi, np.zeros(scene.n_strains), u]))
                     assert margin >= bound - 1e-9
+
+
+def calibrated(bending: float) -> rod.Scene:
+    """A rod whose identified tendons say that its backbone is softer (or stiffer) than drawn."""
+    m = 3
+    values = np.zeros(6 * m + 4)
+    values[: 2 * m] = [1.0, 0.0, -0.5, 0.8, -0.5, -0.8]
+    values[4 * m + 1] = np.log(bending)
+    none = rod.KelvinVoigt(bending=0.0, torsion=0.0)
+    return rod.Scene(body("kirchhoff"), rod.Gravity((3.0, 0.0, 0.5)), CalibratedTendons(m, 0.02, tuple(values), none))
+
+
+@pytest.mark.parametrize("bending", [0.15, 0.6, 2.0])
+def test_a_backbone_that_was_found_softer_has_a_lower_bound(bending: float) -> None:
+    scene, rng = calibrated(bending), np.random.default_rng(1)
+    bound, drawn = (Certificate(s).bound(np.zeros(3)) for s in (scene, calibrated(1.0)))
+    assert 1.0 - bound == pytest.approx((1.0 - drawn) / min(1.0, bending))
+    for _ in range(20):
+        state = np.concatenate([2.0 * rng.normal(size=scene.n_strains), np.zeros(scene.n_strains), np.zeros(3)])
+        assert scene.statics().margin(state) >= min(1.0, bending) * bound - 1e-9
+
+
+def test_weights_off_the_axis_are_not_certified() -> None:
+    for offset, known in (((0.0, 0.0, 0.0), True), ((0.3, 0.0, 0.0), False)):
+        mass = rod.PointMass(0.5, 0.1, offset=offset)
+        found = Certificate(rod.Scene(body(), rod.Gravity((1.0, 0.0, 0.0)), mass)).bound(np.zeros(0))
+        assert bool(np.isfinite(found)) is known
 
 
 def test_the_arm_under_its_commands_is_certified() -> None:

@@ -132,6 +132,11 @@ class CalibratedTendons(TendonTerm):
         return (moves,) if self.values is not None else (moves, Input(PARAMETERS, 6 * self.n_tendons + 4))
 
     @property
+    def kept_stiffness(self) -> float:
+        """The bending factor where it softens the backbone; 0 while it is being identified."""
+        return 0.0 if self.values is None else float(min(1.0, np.exp(self.values[4 * self.n_tendons + 1])))
+
+    @property
     def parameters(self) -> TendonParameters:
         """What was identified."""
         if self.values is None:

@@ -50,8 +50,8 @@ class Certificate(Rebuilt):
     break convexity: with N(s) their resultant beyond s, the second variation of their work is at least
     -int |N| |turn|^2 ds, so that diag(b k) - |A|^T diag(b |N|) |A| with k = min(EI, GJ) bounds the stiffness.
     Where it is positive definite the equilibrium is the only one. In the plane this is a proof; in space no
-    counterexample is known. There is no bound for follower loads, friction, moments in space, user's own terms, a
-    moving base and rods that shear or stretch.
+    counterexample is known. There is no bound for follower loads, friction, moments in space, weights off the axis,
+    user's own terms, a moving base and rods that shear or stretch.
 
     Args:
         scene: the rod and what acts on it.
@@ -69,11 +69,18 @@ class Certificate(Rebuilt):
 
     def unique_below(self, u: Array) -> float:
         """Load factor up to which the equilibrium under ``u`` (n_inputs,) is unique; 0 where nothing is known."""
+        if self._always is not None:
+            return self._always
         if self._last is None or not np.array_equal(self._last[0], u):
-            bound = self.bound(u)
-            factor = 0.0 if not np.isfinite(bound) else np.inf if bound >= 1.0 else 1.0 / (1.0 - bound)
-            self._last = u.copy(), factor
+            self._last = u.copy(), _factor(self.bound(u))
         return self._last[1]
+
+    @cached_property
+    def _always(self) -> float | None:
+        """The load factor, where it is the same under all inputs."""
+        if not self._usable:
+            return 0.0
+        return None if self._constant is None or len(self._tensions) else _factor(self._constant)
 
     @cached_property
     def _usable(self) -> bool:
@@ -81,12 +88,19 @@ class Certificate(Rebuilt):
         planar, terms = scene.rod.strain_set.planar, scene.terms
         if not all(type(t) in KNOWN or isinstance(t, TendonTerm) for t in terms) or without_energy(scene):
             return False
-        if any(isinstance(t, Base) and (t.moves or t.inputs) for t in terms):
+        if any(isinstance(t, Base) and (t.moves or t.inputs) for t in terms) or self._kept <= 0.0:
+            return False
+        if any(isinstance(t, PointMass) and any(t.offset) for t in terms):  # its weight has an arm that turns
             return False
         if not set(scene.rod.strain_set.free) <= {0, 1, 2} or (not planar and any(_has_moment(t) for t in terms)):
             return False
         xi, _, balance = scene.static_balance
         return not ca.depends_on(ca.vec(balance.internal_force), xi)
+
+    @cached_property
+    def _kept(self) -> float:
+        """Part of the elastic stiffness that tendons which correct it leave."""
+        return float(np.prod([t.kept_stiffness for t in self.scene.terms if isinstance(t, TendonTerm)]))
 
     @cached_property
     def _resultant(self) -> ca.Function:
@@ -112,7 +126,7 @@ class Certificate(Rebuilt):
     def _turn(self) -> Array:
         """|turn| at the nodes (K, K) of unit strains at the nodes, in units in which the elastic stiffness is 1."""
         rod, rule = self.scene.rod, self.scene.rule
-        softest = rod.profile(rule.nodes).stiffness[list(rod.strain_set.free)].min(axis=0)
+        softest = self._kept * rod.profile(rule.nodes).stiffness[list(rod.strain_set.free)].min(axis=0)
         turn: Array = np.abs(rule.integration) / np.sqrt(rule.weights * softest)
         return turn
 
@@ -140,6 +154,11 @@ def without_energy(scene: Scene) -> bool:
         or (isinstance(t, Base) and t.moves)
         for t in scene.terms
     )
+
+
+def _factor(bound: float) -> float:
+    """Load factor at which a ``bound`` of the whole loads becomes zero; 0 where none is known."""
+    return 0.0 if not np.isfinite(bound) else np.inf if bound >= 1.0 else 1.0 / (1.0 - bound)
 
 
 def _has_moment(term: Any) -> bool:

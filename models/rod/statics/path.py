@@ -22,6 +22,8 @@ SHIFT = 1e-5
 MOST_EVENTS = 12
 #: Force that counts as none at the end.
 BALANCED = 1e-9
+#: Change that is small enough to be the error of such a force, and not a singular stiffness [rad].
+SMALL = 1e-3
 #: A bifurcation is told from a fold by the force along the softest direction, in parts of the whole.
 ACROSS = 1e-3
 
@@ -123,7 +125,7 @@ def _ended(way: Way, y: Array, judge: Judge, events: tuple[Event, ...]) -> Walk:
             break
         step = solved(_shifted(stiffness, 1e-2 * SHIFT), force)
         if np.abs(force).max() < BALANCED:
-            last = step if np.linalg.norm(step) < ACROSS else 0.0  # the last digits, for nothing
+            last = step if np.linalg.norm(step) < SMALL else 0.0  # the last digits, for nothing
             return Walk(y + last, 1.0, judge.stable(stiffness), events)
         if not np.linalg.norm(step) <= 0.3:
             break

@@ -134,14 +134,13 @@ class Statics(Rebuilt):
             found[start : start + len(block)] = x
             worst[start : start + len(block)] = search.worst_of_rows(x, block)
         branch, factor, zero = np.full(len(rows), "unique", dtype=object), np.ones(len(rows)), np.zeros(scene.n_strains)
-        for k, u in enumerate(rows):
+        open_rows = np.flatnonzero(worst > TOLERANCE) if mild else np.arange(len(rows))
+        for k in tqdm(open_rows, disable=not progress or mild, desc="branches", unit="row"):
+            x, u = found[k].copy(), rows[k]
             if worst[k] > TOLERANCE:
-                found[k], _, _ = search.find(u, zero, self.branches.unique(u))
-                worst[k] = search.worst(found[k], u)
-            verdict = self.branches.of_root(found[k], u, bool(worst[k] <= TOLERANCE))
-            if verdict.x is not found[k]:
-                found[k] = verdict.x
-                worst[k] = search.worst(found[k], u)
+                x, _, _ = search.find(u, zero, self.branches.unique(u))
+            verdict = self.branches.of_root(x, u, search.worst(x, u) <= TOLERANCE)
+            found[k], worst[k] = verdict.x, search.worst(verdict.x, u)
             branch[k], factor[k] = verdict.branch, verdict.load_factor
         strains = search.strains(found)
         readings = self._readings.map(len(rows)) if len(rows) else None

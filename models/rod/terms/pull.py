@@ -57,6 +57,11 @@ class TendonTerm(ABC):
 
     name: str
 
+    @property
+    def kept_stiffness(self) -> float:
+        """Part of the backbone's elastic stiffness that is surely left; corrections of it may take some away."""
+        return 1.0
+
     @abstractmethod
     def points(self, s: float, length: float) -> Array:
         """Points (m, 2) in m of the tendons in the section at arclength ``s`` in m of a rod of ``length`` in m."""
