@@ -32,7 +32,7 @@ MAX_STEPS_TOGETHER = 2_000
 #: first accelerations are 1e7 times those that follow, start with ``calc_ic`` from plain states.
 STARTS = ((0.0, 1.0, False), (1.0, 1.0, False), (0.0, 0.0, True))
 #: Shortest time for which a first derivative is carried, in parts of dt.
-LEAST_FADING = 1e-4
+LEAST_FADING = 1e-3
 
 
 class Simulator(Propagation):

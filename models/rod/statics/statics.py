@@ -82,10 +82,11 @@ class Statics(Rebuilt):
         u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
         x, iterations, solver = search.find(u, x0, self.branches.unique(u))
-        verdict = self._verdict(x, u, x0 if guess is not None else None, guess)
+        residual = search.worst(x, u)
+        verdict = self._verdict(x, u, residual <= TOLERANCE, x0 if guess is not None else None, guess)
         if verdict.x is not x:
             x, iterations, solver = verdict.x, None, "path"
-        residual = search.worst(x, u)
+            residual = search.worst(x, u)
         success = bool(residual <= TOLERANCE and verdict.branch != "unverified")
         tensions, slack = self._read(x, u)
         return Equilibrium(
@@ -103,10 +104,9 @@ class Statics(Rebuilt):
             scene=scene,
         )
 
-    def _verdict(self, x: Array, u: Array, start: Array | None, guess: ArrayLike | None) -> Verdict:
+    def _verdict(self, x: Array, u: Array, converged: bool, start: Array | None, guess: ArrayLike | None) -> Verdict:
         """What is known of the candidate ``x``; where it is not on the branch that was asked for, the one that is."""
         branches, n = self.branches, self.scene.n_strains
-        converged = self.search.worst(x, u) <= TOLERANCE
         if start is None:
             return branches.of_root(x, u, converged)
         given = np.asarray(guess, dtype=np.float64).ravel()
