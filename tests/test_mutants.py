@@ -109,15 +109,16 @@ def at_line(source: bytes, number: int) -> Mutation:
     return next(m for m in mutations("a.py", source) if m.line == number)
 
 
-def test_a_constant_of_a_module_is_tested_by_whoever_names_it(tmp_path: Path) -> None:
+def test_a_constant_of_a_module_is_tested_by_whoever_names_it_or_uses_its_file(tmp_path: Path) -> None:
     (tmp_path / "pisplit").mkdir()
     (tmp_path / "pisplit" / "a.py").write_bytes(FORMULA)
     users = Passing("t.py::uses", 1.0, {"pisplit/a.py": frozenset({8})})
     others = Passing("t.py::other", 1.0, {"pisplit/a.py": frozenset({6})})
-    reach = Reach((users, others), (), ())
-    constant = at_line(FORMULA, 2)
+    elsewhere = Passing("t.py::elsewhere", 1.0, {"pisplit/b.py": frozenset({8})})
+    reach = Reach((users, others, elsewhere), (), ())
+    constant = next(m for m in mutations("pisplit/a.py", FORMULA) if m.line == 2)
     assert constant.executed is None and constant.names == ("GAIN",)
-    assert covering(constant, reach, tmp_path) == [users]
+    assert covering(constant, reach, tmp_path) == [users, others]
     condition = next(m for m in mutations("pisplit/a.py", FORMULA) if m.line == 6)
     assert covering(condition, reach, tmp_path) == [others]
 

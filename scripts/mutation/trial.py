@@ -43,16 +43,23 @@ class Trial:
 
 
 def covering(mutation: Mutation, reach: Reach, folder: Path) -> list[Passing]:
-    """Tests that execute the mutated line; for a constant of a module those that execute a line that names it."""
+    """Tests that execute the mutated line; for a constant of a module those that execute a line that names it, or its file.
+
+    What a module computes from its constants while it is imported belongs to no test, so a test may depend on a constant
+    without ever executing its name.
+    """
     if mutation.executed is not None:
         first, last = mutation.executed
         wanted = {mutation.file: set(range(first, last + 1))}
     else:
         wanted = _naming(mutation, folder)
-    found = [t for t in reach.tests if any(t.lines.get(file, frozenset()) & lines for file, lines in wanted.items())]
-    if not found and mutation.executed is None:
-        found = [t for t in reach.tests if mutation.file in t.lines]
-    return found
+    constant = mutation.executed is None
+    return [
+        test
+        for test in reach.tests
+        if (constant and mutation.file in test.lines)
+        or any(test.lines.get(file, frozenset()) & lines for file, lines in wanted.items())
+    ]
 
 
 def _naming(mutation: Mutation, folder: Path) -> dict[str, set[int]]:
