@@ -14,7 +14,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from mutation.equivalent import Equivalent, reason_for
-from mutation.operators import Mutation, mutations
+from mutation.operators import mutations
 from mutation.reached import Passing, Reach
 from mutation.rooms import ROOMS, files
 from mutation.trial import covering
@@ -103,10 +103,6 @@ def test_mutants_are_single_slips_of_code_and_of_nothing_else() -> None:
 )
 def test_an_operator_makes_its_slip(line: str, expected: str) -> None:
     assert expected in lines(line.encode())
-
-
-def at_line(source: bytes, number: int) -> Mutation:
-    return next(m for m in mutations("a.py", source) if m.line == number)
 
 
 def test_a_constant_of_a_module_is_tested_by_whoever_names_it_or_uses_its_file(tmp_path: Path) -> None:
