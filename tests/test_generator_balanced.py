@@ -131,3 +131,32 @@ def test_misuse_is_refused_in_one_line(options: dict[str, Any], theta: Dictionar
     with pytest.raises(ValueError, match=message) as error:
         PIEDMDc(theta, alpha=0.0, split="balanced", options=options).fit(data(A), known())
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("penalty", ["ridge", "lasso"])
+def test_alpha_has_the_units_in_which_ports_and_loads_are_of_size_one(penalty: str) -> None:
+    d1 = data(A + GAIN * PORT @ LOAD, 0.05)
+    fits = [
+        PIEDMDc(dictionary(), alpha=0.3, split="balanced", penalty=penalty, options=options).fit(d1, known())
+        for options in (OPTIONS, OPTIONS | {"ports": 70.0 * PORT, "loads": 0.01 * LOAD})
+    ]
+    np.testing.assert_allclose(fits[0].fit_.K, fits[1].fit_.K, rtol=0, atol=1e-9)
+    assert np.abs(fits[0].fit_.details["gains"]).max() > 0.1
+
+
+def gain(alpha: float, penalty: str, dt: float = 0.05) -> float:
+    d1 = data(A + GAIN * PORT @ LOAD, dt)
+    model = PIEDMDc(dictionary(), alpha=alpha, split="balanced", penalty=penalty, options=OPTIONS).fit(d1, known())
+    return float(model.fit_.details["gains"][0][0])
+
+
+def test_of_one_gain_ridge_of_weight_one_leaves_half_and_lasso_of_weight_one_nothing() -> None:
+    # One unknown: |y - h a|^2 + w h^2 is least at h_0 / (1 + w / |a|^2), and w = alpha |a|^2.
+    free = gain(0.0, "ridge")
+    assert gain(0.0, "lasso") == pytest.approx(free, rel=1e-12)
+    for alpha in (0.5, 1.0, 3.0):
+        assert gain(alpha, "ridge") == pytest.approx(free / (1.0 + alpha), rel=1e-9)
+    # |y - h a|^2 + w |h|: h falls linearly with w and is zero from the largest slope 2 |a y| on, where alpha = 1.
+    for alpha in (0.25, 0.5, 0.999):
+        assert gain(alpha, "lasso") == pytest.approx(free * (1.0 - alpha), rel=1e-6)
+    assert gain(1.0, "lasso") == 0.0
