@@ -43,10 +43,10 @@ class Trial:
 
 
 def covering(mutation: Mutation, reach: Reach, folder: Path) -> list[Passing]:
-    """Tests that execute the mutated line; for a constant of a module those that execute a line that names it, or its file.
+    """Tests that execute the mutated line; for a constant of a module those that use its file or its name.
 
-    What a module computes from its constants while it is imported belongs to no test, so a test may depend on a constant
-    without ever executing its name.
+    What a module computes from its constants while it is imported belongs to no test: a test may depend on a constant
+    whose name it never executes.
     """
     if mutation.executed is not None:
         first, last = mutation.executed
