@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 
 import casadi as ca
@@ -21,12 +21,24 @@ from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.kinematics.gauss import Array
 from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.kinematics.rotations import rotation_matrix
-from pisplit.models.rod.kinematics.strains import turn_rows
+from pisplit.models.rod.kinematics.strains import rotation_vector, turn_rows
+
+
+@cache
+def _vector(size: int) -> tuple[ca.Function, ca.Function]:
+    """``(parts, rates, accelerations) -> Omega_t, Omega_tt`` and ``(parts, moment) -> its share in the parts``."""
+    parts, rates, accelerations = (ca.SX.sym(name, 3, size) for name in ("parts", "rates", "accelerations"))
+    moment, omega = ca.SX.sym("moment", 3), rotation_vector(parts)
+    first = ca.jtimes(omega, parts, rates)
+    second = ca.jtimes(first, parts, rates) + ca.jtimes(omega, parts, accelerations)
+    moving = ca.Function("moving", [parts, rates, accelerations], [first, second], {"cse": True})
+    acting = ca.Function("acting", [parts, moment], [ca.jtimes(omega, parts, moment, True)], {"cse": True})
+    return moving, acting
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One Magnus step of the frames, omega = W + W x D (see ``StrainSet.steps``).
+    """One step of the frames by the rotation vector omega (see ``strains.rotation_vector``).
 
     The rotation exp(hat(omega)) turns by ``dexp(omega) omega_t`` in the frame before it, where
 
@@ -35,8 +47,8 @@ class Turn:
     with t = |omega|, smoothed at zero as ``rotations.exponential`` does.
 
     Attributes:
-        rows: (2, K) from nodal strains w to W and D (``turn_rows``).
-        parts: W and D of the strains, of their rates and of their accelerations, each (3, 2).
+        rows: (2 or 3, K) from nodal strains w to the parts of omega (``turn_rows``).
+        parts: these parts of the strains, of their rates and of their accelerations, each (3, 2 or 3).
     """
 
     rows: Array
@@ -45,8 +57,7 @@ class Turn:
     @cached_property
     def omega(self) -> ca.SX:
         """Rotation vector (3,)."""
-        whole, change = ca.horzsplit(self.parts[0])
-        return whole + ca.cross(whole, change)
+        return rotation_vector(self.parts[0])
 
     @cached_property
     def _coefficients(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -59,9 +70,7 @@ class Turn:
     @cached_property
     def rates(self) -> tuple[ca.SX, ca.SX]:
         """Angular velocity and acceleration (3,) that the step adds, in the frame before it."""
-        (w, d), (w_t, d_t), (w_tt, d_tt) = (ca.horzsplit(p) for p in self.parts)
-        first = w_t + ca.cross(w_t, d) + ca.cross(w, d_t)
-        second = w_tt + ca.cross(w_tt, d) + 2.0 * ca.cross(w_t, d_t) + ca.cross(w, d_tt)
+        first, second = _vector(len(self.rows))[0](*self.parts)
         square, a, b = self._coefficients
         once = ca.cross(self.omega, first)
         twice = ca.cross(self.omega, once)
@@ -74,11 +83,9 @@ class Turn:
 
     def conjugate(self, moment: ca.SX) -> ca.SX:
         """Share (3, K) of the nodal strains w in a moment (3,) in the frame before the step: transpose of ``rates``."""
-        whole, change = ca.horzsplit(self.parts[0])
         _, a, b = self._coefficients
         once = ca.cross(self.omega, moment)
-        m = moment - a * once + b * ca.cross(self.omega, once)
-        acting = ca.horzcat(m + ca.cross(change, m), ca.cross(m, whole))
+        acting = _vector(len(self.rows))[1](self.parts[0], moment - a * once + b * ca.cross(self.omega, once))
         return ca.mtimes(acting, ca.DM(self.rows))
 
 

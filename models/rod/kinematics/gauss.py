@@ -49,6 +49,10 @@ class GaussRule:
         """Arclengths from which frames step on: the base and the nodes."""
         return (0.0, *self.nodes.tolist())
 
+    def nodes_around(self, s: float) -> int:
+        """Number of nodes of the element that an arclength ``s`` in m lies in."""
+        return self.n_nodes
+
     @cached_property
     def weights(self) -> Array:
         """Quadrature weights b (K,) in metres."""
@@ -127,6 +131,10 @@ class CompositeRule:
     def step_ends(self) -> tuple[float, ...]:
         """Arclengths from which frames step on: the base, the nodes, and the borders between elements."""
         return tuple(sorted((*self.borders[:-1], *self.nodes.tolist())))
+
+    def nodes_around(self, s: float) -> int:
+        """Number of nodes of the element that an arclength ``s`` in m lies in."""
+        return self.elements[int(np.searchsorted(self.borders[1:-1], s, side="left"))].n_nodes
 
     @cached_property
     def weights(self) -> Array:

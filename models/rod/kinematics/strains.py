@@ -19,6 +19,9 @@ from pisplit.models.rod.kinematics.rotations import compose, exponential, rotati
 #: Order of the six strain components: bending about body axes 1 and 2, torsion, shear along 1 and 2, stretch.
 COMPONENTS = ("w1", "w2", "w3", "v1", "v2", "v3")
 
+#: Nodes of an element from which on its frames take steps of sixth order.
+SIXTH_ORDER = 6
+
 
 @dataclass(frozen=True)
 class StrainSet:
@@ -60,10 +63,7 @@ class StrainSet:
     def steps(self, w_nodes: ca.SX, rule: Rule, base: ca.SX) -> list[ca.SX]:
         """Quaternions (4,) at ``rule.step_ends`` from the strains ``w`` at the nodes (3, K) and that of the base.
 
-        Fourth-order Magnus steps from node to node (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, Acta
-        Numerica 2000): for R' = R hat(w), Omega = W + sqrt(3)/12 h W x (w_2 - w_1) with W = int w ds and w at the two
-        Gauss points of each step. W is that of the polynomial through the nodes, exactly: where the axis of bending
-        does not turn, so are the frames. Planar rods need none.
+        Magnus steps from node to node, see ``rotation_vector``. Planar rods need none.
 
         ``w_nodes`` are these strains.
         """
@@ -98,21 +98,47 @@ class StrainSet:
 
 
 def turn_rows(rule: Rule, start: float, end: float) -> Array:
-    """Rows (2, K) over nodal strains for one Magnus step: W, and sqrt(3)/12 h (w_2 - w_1).
+    """Rows (2 or 3, K) over nodal strains w for one step from ``start`` to ``end`` in m: W, B (and C).
 
-    The step goes from ``start`` to ``end`` in m on the nodes of ``rule``.
+    See ``rotation_vector``. The step lies within one element of ``rule``; three rows from ``SIXTH_ORDER`` nodes of this
+    element on, so that frames and strains are resolved alike: with fewer the strains decide.
     """
     h = end - start
-    points = start + h * (0.5 + np.array([-1.0, 1.0]) * np.sqrt(3.0) / 6.0)
-    first, second = rule.interpolate(points)
     whole = rule.integrate_to([end])[0] - rule.integrate_to([start])[0]
-    return np.stack([whole, np.sqrt(3.0) / 12.0 * h * (second - first)])
+    nodes = rule.nodes_around(start + 0.5 * h)
+    x, weights = np.polynomial.legendre.leggauss(2 if nodes < SIXTH_ORDER else nodes // 2 + 2)
+    rows = rule.interpolate(start + 0.5 * h * (1.0 + x))
+    linear, quadratic = (0.5 * h * (weights * (0.5 * x) ** k) @ rows for k in (1, 2))
+    return np.stack([whole, linear] if nodes < SIXTH_ORDER else [whole, linear, 180.0 * quadratic - 15.0 * whole])
+
+
+def rotation_vector(parts: ca.SX) -> ca.SX:
+    """Omega (3,) with R(end) = R(start) exp(hat(Omega)) for R' = R hat(w) over a step h, to fourth or sixth order.
+
+    Magnus expansion from moments of w about the middle of the step (Blanes, Casas, Oteo & Ros, *The Magnus expansion
+    and some of its applications*, Physics Reports 470 (2009), section 5.6):
+
+        W = int w ds,  B = int x w ds,  C = int (180 x^2 - 15) w ds,  x = (s - middle) / h
+        fourth order:  Omega = W + W x B
+        sixth order:   Omega = W + (20 A + C + D) x (B + A x (2 C - D) / 720) / 20,  A = W - C / 12,  D = 12 A x B
+
+    Where the axis of bending does not turn, Omega = W is exact.
+
+    ``parts`` are W and B, for sixth order also C, a column each.
+    """
+    whole, linear, *rest = ca.horzsplit(parts)
+    if not rest:
+        return whole + ca.cross(whole, linear)
+    quadratic = rest[0]
+    middle = whole - quadratic / 12.0
+    turning = 12.0 * ca.cross(middle, linear)
+    second = ca.cross(middle, 2.0 * quadratic - turning) / 720.0
+    return whole + ca.cross(20.0 * middle + quadratic + turning, linear + second) / 20.0
 
 
 def _turn(w_all: ca.SX, rule: Rule, start: float, end: float) -> ca.SX:
-    """Quaternion of one Magnus step."""
-    whole, change = ca.horzsplit(ca.mtimes(w_all, ca.DM(turn_rows(rule, start, end).T)))
-    return exponential(whole + ca.cross(whole, change))
+    """Quaternion of one step."""
+    return exponential(rotation_vector(ca.mtimes(w_all, ca.DM(turn_rows(rule, start, end).T))))
 
 
 STRAIN_SETS = {
