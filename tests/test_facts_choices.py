@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pisplit.generator.half_step import _better
+from pisplit import Dictionary, Episodes, PhaseSamples, PIEDMDc
+from pisplit import observables as ob
+from pisplit.generator.generator import KnownOptions, _varying
+from pisplit.generator.half_step import _better, _condition, _growth, _miss
+from pisplit.generator.spectrum import spectrum
 from pisplit.models.rod.kinematics.gauss import GaussRule
 from pisplit.models.rod.kinematics.strains import STRAIN_SETS
 from pisplit.models.rod.terms.routing import check_routes, nodes_before
 from pisplit.models.rod.terms.tendons import Line
+from pisplit.regression.moments import Moments, accumulate
 from pisplit.splitting import SplitContext, balanced, hold, two_stage
 from pisplit.splitting.balanced import _sizes
 from pisplit.splitting.rows import check_rows
@@ -95,3 +100,51 @@ def test_a_line_is_as_long_as_it_runs_or_longer() -> None:
         check_routes([Line((0.01, 0.0), (0.005, 0.0), length)], rule, 4, 0.5, "Tendons")
     with pytest.raises(ValueError, match=r"run to s = 0.5 m on a Line of length 0.49 m"):
         check_routes([Line((0.01, 0.0), (0.005, 0.0), 0.49)], rule, 4, 0.5, "Tendons")
+
+
+def flow(now: np.ndarray, after: np.ndarray) -> Moments:
+    return accumulate([np.hstack([now, after])])
+
+
+def test_a_half_step_misses_what_it_misses_of_the_mean_too() -> None:
+    theta = Dictionary(ob.Identity(), n_states=1, n_inputs=0)
+    now = np.random.default_rng(0).normal(size=(50, 1))
+    assert _miss(theta, np.eye(1), flow(now, now + 0.1), KnownOptions()) == pytest.approx(1.0, abs=1e-9)
+    assert _miss(theta, np.array([[0.5]]), flow(now, 0.5 * now), KnownOptions()) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_columns_that_a_half_step_leaves_alone_count_in_its_condition_and_growth() -> None:
+    late = Dictionary(ob.Identity(), ob.Delays(states=1), n_states=1, n_inputs=0)
+    now = Dictionary(ob.Identity(), n_states=1, n_inputs=0)
+    matrix = np.diag([0.5, 1.0])
+    assert _condition(late, matrix, KnownOptions()) == pytest.approx(2.0)
+    assert _growth(late, matrix, KnownOptions()) == 1.0
+    assert _condition(now, matrix[:1, :1], KnownOptions()) == pytest.approx(1.0)
+    assert _growth(now, matrix[:1, :1], KnownOptions()) == pytest.approx(0.5)
+
+
+def test_inputs_that_do_not_vary_are_no_regressors_and_states_are() -> None:
+    theta = Dictionary(ob.Identity(), n_states=1, n_inputs=2)
+    data = np.column_stack([np.full(30, 2.0), np.full(30, 3.0), np.arange(30.0)])
+    assert _varying(theta, accumulate([data]), np.arange(3)).tolist() == [True, False, True]
+
+
+def test_five_doubtful_eigenfunctions_are_named() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(60, 2))
+    theta = Dictionary(ob.Polynomials(4), n_states=2, n_inputs=1)
+    d2 = PhaseSamples(x, rng.normal(size=(60, 1)), np.column_stack([x[:, 1], -np.sin(3.0 * x[:, 0])]))
+    run = np.vstack([np.zeros(2), np.cumsum(0.1 * rng.normal(size=(40, 2)), axis=0)])
+    model = PIEDMDc(theta, 1.0, penalty="ridge").fit(Episodes([run], [rng.normal(size=(40, 1))], 0.1), d2)
+    assert len(model.fit_.details["spurious"]) == 5
+
+
+def test_the_residual_of_a_slow_eigenvalue_is_in_parts_of_its_own_rate() -> None:
+    """Theta' = Theta L with an error that moves as fast as the slow function itself: it is believed in half at most."""
+    theta = np.linalg.qr(np.random.default_rng(0).normal(size=(40, 3)))[0]
+    generator = np.diag([-1.0, -1e4])
+    lie = theta[:, :2] @ generator
+    lie[:, 0] += theta[:, 2]
+    found = spectrum(generator, theta[:, :2], lie, np.ones(2), ["slow", "fast"], 40)
+    slow = int(np.argmin(np.abs(found.values)))
+    assert found.residuals[slow] == pytest.approx(1.0 / (np.sqrt(2.0) + 1.0), rel=1e-6)

@@ -7,7 +7,11 @@ import warnings
 import numpy as np
 import pytest
 
+from pisplit import Dictionary, Episodes, LinearEDMDc
+from pisplit import observables as ob
+from pisplit.controllers import MPC
 from pisplit.controllers.mpc.mpc import _each_output, _spectral_radius, _warn_of_growth
+from pisplit.controllers.mpc.qp import QP, QPSettings
 
 
 @pytest.mark.parametrize("bad", [[0.0, np.nan], np.nan, [np.nan, np.nan], [1.0, 2.0, 3.0]])
@@ -32,3 +36,27 @@ def test_growth_over_the_horizon_is_said_beyond_its_limit() -> None:
         _warn_of_growth(np.diag([1.01, 0.5]), 20)
     with pytest.warns(UserWarning, match=r"spectral radius 3.0000 grows 3.5e\+09 times over 20 steps"):
         _warn_of_growth(np.diag([3.0, 0.5]), 20)
+
+
+def test_an_output_may_have_no_weight_but_not_all() -> None:
+    lifted = LinearEDMDc(Dictionary(ob.Identity(), n_states=2, n_inputs=1), 0.0).fit(recordings()).lifted
+    assert MPC(lifted, 5, -1.0, 1.0, 0.5, track=[0, 1], output_weight=[1.0, 0.0]).horizon == 5
+    for bad in ([0.0, 0.0], [1.0, -1.0]):
+        with pytest.raises(ValueError, match="none negative, one positive"):
+            MPC(lifted, 5, -1.0, 1.0, 0.5, track=[0, 1], output_weight=bad)
+
+
+def recordings() -> Episodes:
+    rng = np.random.default_rng(0)
+    a, b, x, u = np.array([[0.9, 0.1], [0.0, 0.8]]), np.array([0.0, 1.0]), [np.zeros(2)], rng.normal(size=(50, 1))
+    for value in u:
+        x.append(a @ x[-1] + b * value[0])
+    return Episodes([np.array(x)], [u], 0.1)
+
+
+def test_multipliers_of_a_problem_that_was_not_solved_do_not_start_the_next() -> None:
+    qp = QP(np.eye(1), np.ones((2, 1)), settings=QPSettings())
+    assert qp.solve(np.array([-3.0]), np.array([-1.0, -1.0]), np.array([1.0, 5.0])).x == pytest.approx([1.0], abs=1e-3)
+    assert qp._y[0] == pytest.approx(2.0, abs=1e-2)
+    assert qp.solve(np.array([0.0]), np.array([1.0, -5.0]), np.array([5.0, -1.0])).x is None
+    assert qp._y.tolist() == [0.0, 0.0] and qp._x.tolist() == [0.0]

@@ -12,10 +12,10 @@ import pytest
 from scipy.io import savemat
 
 from pisplit import Episodes
-from pisplit.data.clock import seconds
+from pisplit.data.clock import _check_increasing, seconds
 from pisplit.data.episode_checks import _misfit
-from pisplit.data.recordings import _jitter
-from pisplit.data.resampling import Signal, _both
+from pisplit.data.recordings import _jitter, _step
+from pisplit.data.resampling import Signal, _both, pieces
 from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
 from pisplit.lifted.formats import _listed
@@ -215,3 +215,52 @@ def test_warnings_point_to_the_line_that_reads_the_recording() -> None:
 def test_names_in_a_comment_of_c_do_not_end_it() -> None:
     assert _listed(("a*/b", "c"), ("m", "")) == "a* /b [m], c"
     assert _listed((), ()) == "none" and _listed(("q\u00e9",), ("",)) == "q?"
+
+
+def signal(times: np.ndarray) -> Signal:
+    return Signal(np.array([0]), times, np.zeros((len(times), 1)))
+
+
+def test_a_command_that_was_read_once_is_no_slow_signal() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert _step(0.1, [[signal(0.1 * np.arange(20)), signal(np.array([0.0]))]], ["x"]) == 0.1
+
+
+@pytest.mark.parametrize(("dt", "said"), [(0.099, False), (0.101, True), (0.15, True)])
+def test_of_more_than_a_hundred_readings_a_step_the_waste_is_said(dt: float, said: bool) -> None:
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        assert _step(dt, [[signal(1e-3 * np.arange(2000))]], ["x"]) == dt
+    assert any("one is used" in str(w.message) for w in found) == said
+
+
+def test_two_readings_have_a_spacing_and_one_has_none() -> None:
+    assert signal(np.array([1.0, 1.5])).spacing == 0.5
+    assert signal(np.array([1.0])).spacing == np.inf
+
+
+@pytest.mark.parametrize("steps", [1, 2, 10**6])
+def test_rounding_of_the_clock_costs_no_step(steps: int) -> None:
+    low, step = 3.0, 0.01
+    high = low + step * steps * (1.0 - 5e-10)
+    grids, short = pieces([signal(np.array([low, high]))], [signal(np.array([low]))], step, 1e9)
+    assert len(grids) == 1 and len(grids[0]) == steps + 1 and not short
+
+
+def test_commands_that_change_within_a_step_count_by_their_time() -> None:
+    command = Signal(np.array([0]), np.array([0.0, 1.25, 1.75, 2.5]), np.array([[0.0], [4.0], [8.0], [1.0]]))
+    held = command.held(np.array([0.0, 1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(held[:, 0], [0.0, 0.25 * 0.0 + 0.5 * 4.0 + 0.25 * 8.0, 0.5 * 8.0 + 0.5 * 1.0])
+
+
+@pytest.mark.parametrize("array", ["x", "u"])
+def test_one_array_is_no_list_of_episodes(array: str) -> None:
+    x, u = np.zeros((1, 5, 2)), np.zeros((1, 4, 1))
+    with pytest.raises(ValueError, match=r"for a single episode give \[x\] and \[u\]"):
+        Episodes(x if array == "x" else list(x), u if array == "u" else list(u), 0.1)  # type: ignore[arg-type]
+
+
+def test_a_clock_that_falls_is_shown_where_it_falls() -> None:
+    with pytest.raises(ValueError, match=r"after sample 2 \(3 s, then 2.5 s\)"):
+        _check_increasing(np.array([1.0, 2.0, 3.0, 2.5, 4.0, 5.0]), np.arange(6), "")

@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit import LiftedModel, modes
+from pisplit import Episodes, LiftedModel, modes
 from pisplit.lifted.formats import state_space_matrices
+from pisplit.lifted.operators import excited_inputs
 
 
 def model(a: np.ndarray, c: np.ndarray | None = None, d: np.ndarray | None = None, reach: float = 1.0) -> LiftedModel:
@@ -80,3 +81,16 @@ def test_a_start_outside_the_range_diverges_at_once() -> None:
     found = model(np.array([[0.5]])).rollout(np.array([[2e3], [1.0]]), np.zeros((2, 4, 1)))
     assert np.asarray(found.diverged_at).tolist() == [0, -1]
     assert np.all(found.x[0, :, 0] == 2e3) and found.x[1, -1, 0] == pytest.approx(0.5**4)
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_inputs_that_vary_by_rounding_are_not_excited(varied: bool) -> None:
+    rng = np.random.default_rng(0)
+    u = 1e3 / 3.0 * (1.0 + 4.0 * np.finfo(float).eps * rng.choice([-1.0, 1.0], size=(400, 2)))
+    if varied:
+        u[:, 1] += rng.normal(size=400)
+    x = rng.normal(size=(401, 1))
+    mean, basis = excited_inputs(Episodes([x], [u], 0.1).pairs())
+    assert mean == pytest.approx(1e3 / 3.0, rel=1e-2) and basis.shape == (2, int(varied))
+    if varied:
+        assert np.abs(basis[:, 0]) == pytest.approx([0.0, 1.0], abs=1e-9)

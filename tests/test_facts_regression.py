@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pisplit.regression import alpha_max, composed_ridge, lasso, least_squares, ridge
+from pisplit.regression import alpha_max, composed_ridge, lasso, least_squares, penalised, ridge
 from pisplit.regression import lasso_active_set as active_set
 from pisplit.regression.lasso import _Triangular, composed_lasso
-from pisplit.regression.moments import accumulate, triangular_factor
+from pisplit.regression.moments import BLOCK_BYTES, CONSTANT, accumulate, block_rows, triangular_factor
 
 Array = NDArray[np.float64]
 module = importlib.import_module("pisplit.regression.lasso")  # the function has the same name
@@ -249,3 +249,31 @@ def test_masked_entries_keep_their_prior_in_every_regression() -> None:
     k = ridge(a, y, 2.0, prior, free).K
     slope = (k @ a.T - y.T) @ a + 2.0 * (k - prior)
     np.testing.assert_allclose(slope[free], 0.0, atol=1e-10)
+
+
+def test_blocks_hold_at_most_their_bytes_and_never_less_than_their_least() -> None:
+    assert block_rows(1) == 4096 and block_rows(10**5) == 256
+    for columns in (300, 1000, 3000):
+        assert 0.99 * BLOCK_BYTES < 8 * columns * block_rows(columns) <= BLOCK_BYTES
+
+
+def test_a_column_that_varies_above_rounding_is_kept_whatever_their_number() -> None:
+    rng = np.random.default_rng(0)
+    n, mean = 10_000, 1.0
+    for size, kept in ((20.0, True), (0.05, False)):
+        found = accumulate([mean + size * CONSTANT * rng.choice([-1.0, 1.0], size=(n, 1))])
+        assert bool(np.abs(found.factor).max() > 0.0) == kept
+
+
+def test_a_composed_ridge_uses_every_pair_of_directions() -> None:
+    rng = np.random.default_rng(0)
+    f, a, y = rng.normal(size=(5, 2)), rng.normal(size=(20, 3)), rng.normal(size=(20, 5))
+    assert composed_ridge(f, a, y, 0.1).rank == 6
+
+
+def test_small_weights_of_a_lasso_are_a_lasso() -> None:
+    rng = np.random.default_rng(0)
+    a, y = rng.normal(size=(40, 6)), rng.normal(size=(40, 2))
+    found = penalised(a, y, 0.5, "lasso")
+    np.testing.assert_allclose(found.K, lasso(a, y, 0.5).K, atol=1e-10)
+    assert found.gaps is not None

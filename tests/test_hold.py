@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from typing import Any
 
 import numpy as np
@@ -252,3 +253,40 @@ def test_phase_samples_of_another_system_are_refused_in_one_line() -> None:
         with pytest.raises(ValueError, match="2 states") as error:
             PIEDMDc(dictionary(True), alpha=1.0, split="hold", options=options).fit(data(True, A, -A @ E, n=1), other)
         assert "\n" not in str(error.value)
+
+
+def test_the_radius_is_that_of_the_physical_map() -> None:
+    d1 = data(False, TRUE, -TRUE @ E)
+    options = {"equilibrium": E, "ports": PORT, "loads": LOAD}
+    model = PIEDMDc(dictionary(False), 1e12, split="hold", options=options).fit(d1, samples(A, -A @ E))
+    exact = np.exp(DT * np.linalg.eigvals(TRUE).real.max())
+    assert model.fit_.details["radius"] == pytest.approx(exact, rel=1e-6)
+
+
+def test_what_is_constant_in_the_known_rates_is_integrated() -> None:
+    """x' = A x + B u + c known, h has the inputs only and is none: the map of the physics alone is exact."""
+    drive, c, rng = -A @ E, np.array([0.3, -1.0, 0.5]), np.random.default_rng(2)
+    full = np.block([[A, drive, c[:, None]], [np.zeros((3, 6))]])
+    step, xs, us = scipy.linalg.expm(DT * full), [], []
+    for _ in range(3):
+        u = rng.normal(size=(20, 2))
+        x = [rng.normal(size=3)]
+        for value in u:
+            x.append(step[:3] @ np.concatenate([x[-1], value, [1.0]]))
+        xs.append(np.array(x))
+        us.append(u)
+    x, u = rng.normal(size=(40, 3)), rng.normal(size=(40, 2))
+    d2 = PhaseSamples(x, u, x @ A.T + u @ drive.T + c)
+    model = PIEDMDc(dictionary(False), 1e12, split="hold", rows="inputs").fit(Episodes(xs, us, dt=DT), d2)
+    np.testing.assert_allclose(model.predict(xs[0][0], us[0]), xs[0], atol=1e-7)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_free_unknown_part_is_said_with_past_inputs_and_without(first: bool) -> None:
+    d1, d2 = data(first, TRUE, -TRUE @ E), samples(A, -A @ E)
+    with pytest.warns(UserWarning, match="f has no effect"):
+        PIEDMDc(dictionary(first), 0.1, split="hold").fit(d1, d2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # two loads of three leave something to f
+        options = {"equilibrium": E, "loads": np.eye(3)[:2]}
+        PIEDMDc(dictionary(first), 0.1, split="hold", options=options).fit(d1, d2)

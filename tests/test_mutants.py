@@ -115,6 +115,10 @@ def test_a_constant_of_a_module_is_tested_by_whoever_names_it_or_uses_its_file(t
     constant = next(m for m in mutations("pisplit/a.py", FORMULA) if m.line == 2)
     assert constant.executed is None and constant.names == ("GAIN",)
     assert covering(constant, reach, tmp_path) == [users, others]
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_b.py").write_text("assert a.GAIN == 2")
+    reading = Passing("tests/test_b.py::reading", 1.0, {})
+    assert covering(constant, Reach((users, elsewhere, reading), (), ()), tmp_path) == [users, reading]
     condition = next(m for m in mutations("pisplit/a.py", FORMULA) if m.line == 6)
     assert covering(condition, reach, tmp_path) == [others]
 

@@ -146,3 +146,32 @@ def test_bilinear_models_are_refused_where_linearity_is_needed() -> None:
     for build in (lambda: balanced_truncation(model, 2), lambda: input_jacobian(model, np.zeros((1, 1)))):
         with pytest.raises(ValueError, match="bilinear"):
             build()
+
+
+def rotated(a: Array, b: Array, seed: int = 5) -> LiftedModel:
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=a.shape))[0]
+    return model_of(turn @ a @ turn.T, turn @ b)
+
+
+def test_modes_that_last_are_separated_from_those_that_drive_them() -> None:
+    """A decaying part that feeds an integrator: nothing left out, nothing changed."""
+    a = np.array([[1.0, 0.7, -0.4], [0.0, 0.8, 0.3], [0.0, 0.0, 0.5]])
+    model = rotated(a, np.array([[0.1], [1.0], [-0.5]]))
+    found = balanced_truncation(model, 3)
+    assert found.kept == 1
+    x, u = np.zeros(2), np.random.default_rng(3).normal(size=(40, 1))
+    np.testing.assert_allclose(found.model.predict(x, None, u).x, model.predict(x, None, u).x, atol=1e-8)
+
+
+def test_a_model_in_which_all_modes_last_is_kept() -> None:
+    model = rotated(np.array([[1.0, 0.3], [0.0, 1.02]]), np.array([[0.2], [1.0]]))
+    found = balanced_truncation(model, 2)
+    assert found.kept == 2
+    x, u = np.array([0.4, -0.2]), np.random.default_rng(3).normal(size=(30, 1))
+    np.testing.assert_allclose(found.model.predict(x, None, u).x, model.predict(x, None, u).x, atol=1e-8)
+
+
+def test_what_is_kept_does_not_depend_on_the_unit_of_the_inputs() -> None:
+    base = stable(6)
+    small = model_of(base.A, 1e-18 * base.B)
+    assert balanced_truncation(small, 4).model.n_lifted == balanced_truncation(base, 4).model.n_lifted == 4

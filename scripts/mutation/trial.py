@@ -43,7 +43,7 @@ class Trial:
 
 
 def covering(mutation: Mutation, reach: Reach, folder: Path) -> list[Passing]:
-    """Tests that execute the mutated line; for a constant of a module those that use its file or its name.
+    """Tests that execute the mutated line; for a constant of a module those that use its file or name it.
 
     What a module computes from its constants while it is imported belongs to no test: a test may depend on a constant
     whose name it never executes.
@@ -54,18 +54,31 @@ def covering(mutation: Mutation, reach: Reach, folder: Path) -> list[Passing]:
     else:
         wanted = _naming(mutation, folder)
     constant = mutation.executed is None
+    naming = _tests_naming(mutation, folder) if constant else set()
     return [
         test
         for test in reach.tests
-        if (constant and mutation.file in test.lines)
+        if (constant and (mutation.file in test.lines or test.file in naming))
         or any(test.lines.get(file, frozenset()) & lines for file, lines in wanted.items())
     ]
+
+
+def _tests_naming(mutation: Mutation, folder: Path) -> set[str]:
+    """Test files that read the constant itself."""
+    if not mutation.names:
+        return set()
+    files = (folder / "tests").rglob("test_*.py")
+    return {path.relative_to(folder).as_posix() for path in files if _pattern(mutation).search(path.read_text())}
+
+
+def _pattern(mutation: Mutation) -> re.Pattern[str]:
+    return re.compile(rf"\b({'|'.join(map(re.escape, mutation.names))})\b")
 
 
 def _naming(mutation: Mutation, folder: Path) -> dict[str, set[int]]:
     if not mutation.names:
         return {}
-    pattern = re.compile(rf"\b({'|'.join(map(re.escape, mutation.names))})\b")
+    pattern = _pattern(mutation)
     found: dict[str, set[int]] = {}
     for part in PACKAGE:
         for path in (folder / part).rglob("*.py"):
