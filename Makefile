@@ -10,8 +10,9 @@ ARGS ?=
 demo: $(VENV)/.package
 	$(BIN)/python scripts/mpc_demo.py $(ARGS)
 
+# A worker a core, with one BLAS thread each: several wait for one another.
 test: lint
-	$(BIN)/pytest $(ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile $(ARGS)
 
 lint: $(VENV)/.package
 	$(BIN)/ruff check .

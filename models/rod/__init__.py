@@ -11,6 +11,7 @@ from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.section.material import Elastic, Stiffness
 from pisplit.models.rod.section.section import Circle, GeneralSection, Tapered, Tube
+from pisplit.models.rod.statics.resolution import Unresolved
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.buoyancy import Buoyancy
 from pisplit.models.rod.terms.chambers import Chambers
@@ -55,4 +56,5 @@ __all__ = [
     "Tension",
     "TipWrench",
     "Tube",
+    "Unresolved",
 ]

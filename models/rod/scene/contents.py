@@ -33,10 +33,6 @@ class Contents:
     element_nodes: tuple[int, ...]
     inputs: tuple[Input, ...]
 
-    def __init__(self, rod: Rod, *terms: Term, nodes: int | Sequence[int] = 4) -> None:
-        self._fill(rod, terms, nodes, Balance)
-        self._say()
-
     def _fill(self, rod: Rod, terms: Sequence[Term], nodes: int | Sequence[int], balance_type: type[Balance]) -> None:
         if not isinstance(rod, Rod):
             raise ValueError(f"Scene starts with a Rod; got {type(rod).__name__}")

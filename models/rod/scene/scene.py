@@ -7,9 +7,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
+import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array
+from pisplit.checks import Array, one_of, positive
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.scene.equations import Equations
 from pisplit.models.rod.scene.identity import fingerprint
@@ -45,12 +46,21 @@ class Scene(Equations):
     Args:
         rod: the rod.
         terms: what acts on it; inputs add up in the order of the terms.
-        nodes: number of Gauss nodes, of a rod with several elements on every element, or a number for each. Four give
-            1e-5 to 1e-4 L for a smooth arm, six 1e-6 to 1e-5. ``scene.nodes`` is the number K of all of them.
+        nodes: number of Gauss nodes, of a rod with several elements on every element, or a number for each, or
+            ``"auto"``: enough for 1e-4 L without inputs (see ``resolved``). Four give 1e-5 to 1e-4 L for a smooth arm,
+            six 1e-6 to 1e-5; equilibria warn (``Unresolved``) where they are off by more than 1e-3 L. ``scene.nodes``
+            is the number K of all of them.
 
     Raises ValueError where rod, terms and nodes do not fit together; warns (``NoEffect``) of what acts on nothing,
     which ``scene.notes`` lists too.
     """
+
+    def __init__(self, rod: Rod, *terms: Term, nodes: int | Sequence[int] | str = 4) -> None:
+        if isinstance(nodes, str):
+            one_of(nodes, "Scene nodes", ("auto",))
+            nodes = _rebuild(rod, terms, 4).resolved().element_nodes
+        self._fill(rod, terms, nodes, Balance)
+        self._say()
 
     def __add__(self, term: Term) -> Scene:
         return self._with(*self.terms, term)
@@ -80,6 +90,22 @@ class Scene(Equations):
     def with_nodes(self, nodes: int | Sequence[int]) -> Scene:
         """The scene on another number of ``nodes`` of every element, or a number for each."""
         return _rebuild(self.rod, self.terms, nodes, self.balance_type)
+
+    def resolved(self, inputs: ArrayLike | None = None, tolerance: float = 1e-4) -> Scene:
+        """The scene on as many nodes as its equilibria need, and not fewer than it has.
+
+        Args:
+            inputs: (N, n_inputs) under which shapes are to be right, e.g. the corners of their range; none when not
+                given.
+            tolerance: largest error along the rod in parts of its length.
+
+        Raises ValueError where an equilibrium is not found, or takes more than 24 nodes an element.
+        """
+        from pisplit.models.rod.statics.resolution import resolved
+
+        rows = np.zeros((1, self.n_inputs)) if inputs is None else np.atleast_2d(np.asarray(inputs, dtype=np.float64))
+        rows = self.checked_inputs(rows, "inputs", (None, self.n_inputs))
+        return resolved(self, rows, positive(tolerance, "tolerance"))
 
     def _with(self, *terms: Term) -> Scene:
         """The scene with other terms."""

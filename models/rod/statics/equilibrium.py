@@ -55,6 +55,14 @@ class Equilibrium:
         return self.scene.statics().margin(self.state)
 
     @property
+    def error(self) -> float:
+        """Estimated distance from the true shape, in parts of the length, where it is largest: see ``Resolution``.
+
+        That of the grid alone. Infinite for a search that failed.
+        """
+        return self.scene.statics().error(self.state) if self.success else float("inf")
+
+    @property
     def strains(self) -> Array:
         """Free strains xi (n_strains,): 1/m for bending and torsion, 1 for shear and stretch."""
         return self.state[: self.scene.n_strains]

@@ -18,6 +18,7 @@ from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium
 from pisplit.models.rod.statics.branch import Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
+from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE, Search, attempt
 
 
@@ -45,6 +46,11 @@ class Statics(Rebuilt):
     def branches(self) -> Branches:
         """Tells which equilibrium it is."""
         return Branches(self.search)
+
+    @cached_property
+    def resolution(self) -> Resolution:
+        """Tells whether the nodes are enough."""
+        return Resolution(self.scene)
 
     @property
     def residual_function(self) -> ca.Function:
@@ -89,8 +95,10 @@ class Statics(Rebuilt):
             residual = search.worst(x, u)
         success = bool(residual <= TOLERANCE and verdict.branch != "unverified")
         tensions, slack = self._read(x, u)
+        state = np.concatenate([search.strains(x), np.zeros(scene.n_strains), u])
+        self._check(state[None], success)
         return Equilibrium(
-            state=np.concatenate([search.strains(x), np.zeros(scene.n_strains), u]),
+            state=state,
             success=success,
             residual=residual,
             iterations=iterations,
@@ -147,6 +155,7 @@ class Statics(Rebuilt):
         tensions = np.asarray(readings(strains.T, rows.T)[0]).T if readings else np.empty((0, 0))
         states = np.hstack([strains, np.zeros_like(found), rows])
         branch[worst > TOLERANCE] = "unverified"
+        self._check(states, branch != "unverified")
         return EquilibriumBatch(states, branch != "unverified", worst, tensions, branch.astype(str), factor)
 
     @in_turn()
@@ -179,6 +188,7 @@ class Statics(Rebuilt):
             factor[k] = verdict.load_factor
             tensions.append(self._read(found[k], u)[0])
         states = np.hstack([search.strains(found), np.zeros_like(found), rows])
+        self._check(states, branch != "unverified")
         return EquilibriumBatch(states, branch != "unverified", worst, np.array(tensions), branch.astype(str), factor)
 
     # What an equilibrium depends on ----------------------------------------------------------------------------------
@@ -276,6 +286,18 @@ class Statics(Rebuilt):
     @cached_property
     def _fixed_tips(self) -> dict[bool, FixedTip]:
         return {}
+
+    def _check(self, states: Array, success: np.ndarray | bool) -> None:
+        """Warn if the nodes do not resolve the most bent of the ``states`` (N, n_states) that were found."""
+        self.resolution.check(states[np.broadcast_to(success, len(states))])
+
+    @in_turn()
+    def error(self, state: ArrayLike) -> float:
+        """Estimated error of a ``state`` [xi, 0, u] (n_states,) at rest: largest distance from the true shape.
+
+        In parts of the length, along the whole rod; that of the grid alone: see ``Resolution``.
+        """
+        return self.resolution.error(checked_state(self.scene, state))
 
     # Guesses and readings --------------------------------------------------------------------------------------------
 

@@ -1,0 +1,177 @@
+"""Are the nodes enough? The error of a shape along the whole rod, from one Newton step on a finer grid."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.models.rod.sharing import Rebuilt
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.scene import Scene
+
+#: Error of a shape, in parts of the length, above which a result warns, and the one that named nodes keep.
+COARSE, FINE = 1e-3, 1e-4
+#: Growth of the largest scaled strain from which on a shape is checked again.
+GROWTH = 1.25
+#: Nodes that the finer grid has more, on every element, and the most that are tried.
+MORE, MOST = 2, 24
+#: Points along the rod at which shapes are compared.
+POINTS = 20
+#: Change of a scaled unknown by which the finer balance is differentiated.
+STEP = 1e-6
+
+
+class Unresolved(UserWarning):
+    """The nodes of a scene are too few for the shape that it takes."""
+
+
+class Resolution(Rebuilt):
+    """Error of the grid of a scene at rest.
+
+    The strains are taken to a grid of two more nodes an element, one Newton step is made there, and both shapes are
+    compared along the whole rod. A root there would tell no more: both grids differ by the error of the coarser one,
+    which falls exponentially with the nodes. What neither grid sees (a load between nodes) stays unseen.
+
+    Args:
+        scene: the rod and what acts on it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.checked = -1.0
+
+    @cached_property
+    def finer(self) -> Scene:
+        """The scene on more nodes."""
+        return self.scene.with_nodes([k + MORE for k in self.scene.element_nodes])
+
+    def error(self, state: Array) -> float:
+        """Largest distance from the true shape, in parts of the length, of a ``state`` [xi, 0, u] at rest.
+
+        Infinite where the finer balance has no slopes (at the load at which the rod buckles), or overflows.
+        """
+        n, u = self.scene.n_strains, state[2 * self.scene.n_strains :]
+        better = self._on_finer(state)
+        better = better + self._newton_step(better, u)
+        if not np.isfinite(better).all():
+            return float("inf")
+        here, there = (np.asarray(f(x, u)) for f, x in zip(self._shapes, (state[:n], better), strict=True))
+        return float(np.linalg.norm(here - there, axis=0).max()) / self.scene.rod.length
+
+    def check(self, states: Array) -> None:
+        """Warn (``Unresolved``) if the nodes do not resolve the most bent of ``states`` (N, n_states) at rest.
+
+        States that are hardly more bent than one that was checked before are not checked again.
+        """
+        scaled = (states[:, : self.scene.n_strains] - self.scene.rest_coordinates) / self.scene.nominal_strains
+        bent = np.abs(scaled).max(axis=1, initial=0.0)
+        if len(bent) == 0 or bent.max() <= GROWTH * self.checked:
+            return
+        worst = int(bent.argmax())
+        self.checked = float(bent[worst])
+        error = self.error(states[worst])
+        if error > COARSE:
+            nodes = self.would_do(states[worst], FINE)
+            what = (
+                f"nodes={_shortest(nodes)} would do"
+                if nodes
+                else f"not even {MOST} would do: cut the rod into elements"
+            )
+            few = _shortest(self.scene.element_nodes)
+            told = f"{few} nodes do not resolve this shape: off by {error:.1g} of the length along the rod; {what}"
+            warnings.warn(told, Unresolved, stacklevel=5)
+
+    def would_do(self, state: Array, tolerance: float) -> tuple[int, ...] | None:
+        """Nodes of every element that resolve the equilibrium near ``state`` to ``tolerance`` of the length.
+
+        None if it takes more than ``MOST``, or if no equilibrium is found there on more nodes.
+        """
+        for finer, shape in self._refined(state):
+            if finer.error(shape) <= tolerance:
+                return finer.scene.element_nodes
+        return None
+
+    def _refined(self, state: Array) -> Iterator[tuple[Resolution, Array]]:
+        """Grids of more and more nodes, and the equilibrium near ``state`` on each."""
+        here, u = self, state[2 * self.scene.n_strains :]
+        while max(here.scene.element_nodes) + MORE <= MOST:
+            xi = here._on_finer(state)
+            for _ in range(6):
+                xi = xi + here._newton_step(xi, u)
+            if not np.isfinite(xi).all():
+                return
+            here, state = Resolution(here.finer), np.concatenate([xi, np.zeros_like(xi), u])
+            yield here, state
+
+    def _on_finer(self, state: Array) -> Array:
+        """Strains (n,) of a ``state`` at the nodes of the finer grid."""
+        strains = state[: self.scene.n_strains].reshape(self.scene.nodes, -1)
+        return np.asarray(self.scene.rule.interpolate(self.finer.rule.nodes) @ strains).ravel()
+
+    def _newton_step(self, xi: Array, u: Array) -> Array:
+        """Change of the strains ``xi`` (n,) on the finer grid by one Newton step; slopes by differences."""
+        unit = self.finer.nominal_strains
+        probes = np.vstack([np.zeros(len(xi)), STEP * np.eye(len(xi))]) * unit
+        values = np.asarray(self._balances((xi + probes).T, u)).T
+        try:
+            step: Array = -unit * np.linalg.solve((values[1:] - values[0]).T / STEP, values[0])
+        except np.linalg.LinAlgError:
+            return np.full(len(xi), np.inf)
+        return step
+
+    @cached_property
+    def _balances(self) -> ca.Function:
+        """``(xi, u) -> residual`` in scaled form, of a column a probe."""
+        xi, u, balance = self.finer.static_balance
+        residual = balance.residual / ca.DM(self.finer.nominal_residual)
+        return ca.Function("balance", [xi, u], [residual]).map(len(self.finer.nominal_strains) + 1)
+
+    @cached_property
+    def _shapes(self) -> tuple[ca.Function, ca.Function]:
+        """``(xi, u) -> positions`` (3, POINTS) on both grids."""
+        points = (self.scene.rod.length * np.arange(1, POINTS + 1) / POINTS).tolist()
+        made = []
+        for scene in (self.scene, self.finer):
+            xi, u, balance = scene.static_balance
+            made.append(ca.Function("shape", [xi, u], [balance.motion.position_at(points)]))
+        return made[0], made[1]
+
+
+def resolved(scene: Scene, inputs: Array, tolerance: float) -> Scene:
+    """``scene`` on nodes that resolve its equilibria under ``inputs`` (N, n_inputs) to ``tolerance`` of the length.
+
+    Raises ValueError where an equilibrium is not found, or takes more than ``MOST`` nodes an element.
+    """
+    for _ in range(MOST):
+        for u in inputs:
+            statics = scene.statics()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Unresolved)
+                found = statics.solve(u)
+            if not found.success:
+                raise ValueError(f"no equilibrium under {u} to choose nodes by: {found.message}; give other inputs")
+            if statics.resolution.error(found.state) <= tolerance:
+                continue
+            nodes = statics.resolution.would_do(found.state, tolerance)
+            if nodes is None:
+                raise ValueError(
+                    f"more than {MOST} nodes an element are needed for {tolerance:g} of the length; cut the rod into "
+                    "elements"
+                )
+            scene = scene.with_nodes(nodes)
+            break
+        else:
+            return scene
+    raise ValueError(f"no number of nodes up to {MOST} keeps {tolerance:g} of the length; cut the rod into elements")
+
+
+def _shortest(nodes: tuple[int, ...]) -> str:
+    """One number where all elements have the same."""
+    return str(nodes[0]) if len(set(nodes)) == 1 else str(list(nodes))
