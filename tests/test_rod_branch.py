@@ -153,3 +153,17 @@ def test_follower_loads_are_followed_by_eigenvalues() -> None:
     scene = rod.Scene(body(), rod.TipWrench(force=rod.Input("f", 3), follower=True), nodes=10)
     found = scene.statics().solve([0.0, 0.0, -10.0])
     assert found.success and np.abs(found.tip - [0.0, 0.0, 1.0]).max() < 1e-9
+
+
+def test_rows_near_states_at_rest_are_moved_there_and_others_are_loaded_from_nothing() -> None:
+    scene = loaded("tip force", "kirchhoff", 5)
+    rows = np.array([[3.0, 1.0, -8.0], [5.0, 0.5, -4.0], [0.2, 0.1, 0.1]])
+    base = scene.statics().solve_many(rows)
+    moved = scene.statics().solve_many(1.05 * rows, near=base.states)
+    fresh = scene.statics().solve_many(1.05 * rows)
+    assert moved.success.all() and fresh.success.all()
+    np.testing.assert_allclose(moved.states, fresh.states, atol=1e-7)
+    nowhere = base.states + 0.1
+    np.testing.assert_allclose(scene.statics().solve_many(1.05 * rows, near=nowhere).states, fresh.states, atol=1e-7)
+    with pytest.raises(ValueError, match="near"):
+        scene.statics().solve_many(rows, near=base.states[:2])

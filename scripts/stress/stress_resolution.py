@@ -31,7 +31,7 @@ from pisplit.models import rod
 LENGTH, RADIUS, YOUNG, DENSITY = 1.0, 0.01, 1e6, 1000.0
 EI = YOUNG * np.pi * RADIUS**4 / 4.0
 NODES, FINE = (4, 5, 6, 8), 14
-#: True errors, in parts of the length, between which the estimate is judged: below is rounding, above nothing is a shape.
+#: True errors, in parts of the length, between which the estimate is judged: below is rounding, above no shape.
 JUDGED = (1e-9, 0.3)
 KINDS = ("roll", "sag", "tip load", "follower", "helix", "taper")
 SETS = ("planar", "kirchhoff", "extensible", "cosserat")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 
 import casadi as ca
@@ -15,7 +14,7 @@ from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tan
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium
-from pisplit.models.rod.statics.branch import Branches, Verdict
+from pisplit.models.rod.statics.branch import RESTING, Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
 from pisplit.models.rod.statics.resolution import Resolution
@@ -123,31 +122,46 @@ class Statics(Rebuilt):
         return branches.near(x, u) if converged else branches.of_root(x, u, converged)
 
     @in_turn()
-    def solve_many(self, inputs: ArrayLike, progress: bool = False, chunk: int = 512) -> EquilibriumBatch:
+    def solve_many(
+        self, inputs: ArrayLike, progress: bool = False, chunk: int = 512, near: ArrayLike | None = None
+    ) -> EquilibriumBatch:
         """Equilibria of many inputs, each from a guess that is affine in them; one bad row is flagged, never raised.
 
         Args:
             inputs: (N, n_inputs).
             progress: whether to show a bar.
             chunk: rows solved by one call.
+            near: states at rest (N, n_states) from which the inputs are moved to ``inputs``; rows that are not at rest
+                are loaded from nothing, as all are when not given.
+
+        Raises ValueError for arrays of another shape or with entries that are not finite.
         """
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         found = np.empty((len(rows), scene.n_strains))
         worst = np.empty(len(rows))
-        guess, mild = self._affine_guess(rows), all(self.branches.unique(u) for u in rows)
+        mild, resting = all(self.branches.unique(u) for u in rows), np.zeros(len(rows), dtype=bool)
+        if near is None:
+            guess = self._affine_guess(rows)
+        else:
+            states = finite_array(near, "near", (len(rows), scene.n_states))
+            guess, before = search.scaled(states[:, : scene.n_strains]), states[:, 2 * scene.n_strains :]
+            resting = search.worst_of_rows(guess, before) <= RESTING
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
-            x = np.asarray(search.of_rows(len(block), mild)(guess(block).T, block.T)).T
+            x = np.asarray(search.of_rows(len(block), mild)(guess[start : start + chunk].T, block.T)).T
             found[start : start + len(block)] = x
             worst[start : start + len(block)] = search.worst_of_rows(x, block)
         branch, factor, zero = np.full(len(rows), "unique", dtype=object), np.ones(len(rows)), np.zeros(scene.n_strains)
         open_rows = np.flatnonzero(worst > TOLERANCE) if mild else np.arange(len(rows))
         for k in tqdm(open_rows, disable=not progress or mild, desc="branches", unit="row"):
             x, u = found[k].copy(), rows[k]
-            if worst[k] > TOLERANCE:
-                x, _, _ = search.find(u, zero, self.branches.unique(u))
-            verdict = self.branches.of_root(x, u, search.worst(x, u) <= TOLERANCE)
+            if resting[k]:
+                verdict = self.branches.of_state(x, u, guess[k], before[k], worst[k] <= TOLERANCE)
+            else:
+                if worst[k] > TOLERANCE:
+                    x, _, _ = search.find(u, zero, self.branches.unique(u))
+                verdict = self.branches.of_root(x, u, search.worst(x, u) <= TOLERANCE)
             found[k], worst[k] = verdict.x, search.worst(verdict.x, u)
             branch[k], factor[k] = verdict.branch, verdict.load_factor
         strains = search.strains(found)
@@ -301,15 +315,15 @@ class Statics(Rebuilt):
 
     # Guesses and readings --------------------------------------------------------------------------------------------
 
-    def _affine_guess(self, rows: Array) -> Callable[[Array], Array]:
-        """A guess affine in u, fitted to the equilibria of the first rows: a third of a zero guess's iterations."""
+    def _affine_guess(self, rows: Array) -> Array:
+        """Guesses (N, n) affine in u, fitted to the equilibria of the first rows: a third of a zero guess's steps."""
         n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
         if len(rows) < 4 * pilots:
-            return lambda block: np.zeros((len(block), n))
+            return np.zeros((len(rows), n))
         solved = np.array([self.search.find(u, np.zeros(n), self.branches.unique(u))[0] for u in rows[:pilots]])
         lift = np.hstack([np.ones((pilots, 1)), rows[:pilots]])
         coefficients = np.linalg.lstsq(lift, solved, rcond=None)[0]
-        return lambda block: coefficients[0] + block @ coefficients[1:]
+        return np.asarray(coefficients[0] + rows @ coefficients[1:])
 
     def _read(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Tensions in N and slack in m of every tendon; tendons driven by tension are never slack."""
