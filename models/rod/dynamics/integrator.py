@@ -33,6 +33,12 @@ MAX_STEPS_TOGETHER = 2_000
 STARTS = ((0.0, 1.0, False), (1.0, 1.0, False), (0.0, 0.0, True))
 #: Shortest time for which a first derivative is carried, in parts of dt.
 LEAST_FADING = 1e-3
+#: Least size of a motion, in parts of a typical one, that absolute tolerances follow; below ``AT_REST`` there is none.
+LEAST_SIZE, AT_REST = 1e-4, 1e-8
+#: Change of a scaled strain in motions for which the absolute tolerances are those of nominal sizes.
+TYPICAL = 0.3
+#: Commands of a run by which its size is judged, and the step of differences of scaled strains.
+JUDGED, STEP = 64, 1e-6
 
 
 class Simulator(Propagation):
@@ -41,7 +47,8 @@ class Simulator(Propagation):
     Args:
         scene: what moves.
         dt: control interval in s.
-        rtol: relative tolerance of IDAS; absolute tolerances are ``rtol`` times the nominal size of each state.
+        rtol: relative tolerance of IDAS; absolute tolerances are ``rtol`` times the nominal size of each state, over a
+            ``run`` that moves less than that ``rtol`` times the size of its motion.
         inputs: ``"ramp"``: inputs move linearly to the command over the step, as a servo does; ``"step"``: they jump at
             its start (2 to 10 times as many integrator steps).
         stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
@@ -84,11 +91,11 @@ class Simulator(Propagation):
             origin, slope = commands, np.zeros_like(commands)
         controls = np.hstack([origin, slope, self.dt * np.arange(steps)[:, None]])
         t = self.dt * np.arange(1, steps + 1)
-        moving = start[n : 2 * n]
+        moving, level = start[n : 2 * n], self._level(start, commands) if steps > 1 else 0
         accelerations = np.asarray(self.equations.acceleration(start[:n], moving, origin[0])).ravel()
         failure: RuntimeError | None = None
         for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
-            integrator = self._integrator(steps, correct, energy)
+            integrator = self._integrator(steps, correct, energy, level)
             rates = np.concatenate([of_strains * moving, of_rates * accelerations])
             fading = self._fading_time(rates)
             given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates, [fading]])}
@@ -137,6 +144,36 @@ class Simulator(Propagation):
         largest = float(np.max(np.abs(rates) / self._nominal[: len(rates)], initial=0.0))
         return min(self.dt, max(1.0 / largest, LEAST_FADING * self.dt)) if largest > 0.0 else self.dt
 
+    def _level(self, start: Array, commands: Array) -> int:
+        """Half decades (0 to -8) by which the motion under ``commands`` is smaller than a typical one, rounded up."""
+        size = self._size(start, commands)
+        if not AT_REST < size < 1.0:
+            return 0
+        return int(np.ceil(2.0 * np.log10(max(size, LEAST_SIZE))))
+
+    def _size(self, start: Array, commands: Array) -> float:
+        """Estimated size of the motion, in parts of a typical one.
+
+        The way from the shape at the start to the equilibrium of every command, by the stiffness at the start, and the
+        strain rates at the start.
+        """
+        n, unit, residual = self.scene.n_strains, self.equations.nominal_strains, self.equations.nominal_residual
+        xi, rest = start[:n], np.zeros(n)
+
+        def balance(strains: Array, u: Array) -> Array:
+            return np.asarray(self._balance(strains, rest, rest, u)).ravel() / residual
+
+        rows = commands[np.unique(np.linspace(0, len(commands) - 1, JUDGED).astype(int))]
+        forces = np.array([balance(xi, u) for u in rows])
+        stiffness = np.array([balance(xi + STEP * unit * e, rows[0]) for e in np.eye(n)]) - forces[0]
+        try:
+            ways = np.linalg.solve(stiffness.T / STEP, forces.T)
+        except np.linalg.LinAlgError:
+            return 1.0
+        rates = np.abs(start[n : 2 * n]) / self._nominal[n : 2 * n]
+        size = max(float(np.abs(ways).max()), float(rates.max()))
+        return size / TYPICAL if np.isfinite(size) else 1.0
+
     # The integrator --------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -145,16 +182,16 @@ class Simulator(Propagation):
         return self.equations.native(self.equations.motion_residual)
 
     @cached_property
-    def _integrators(self) -> dict[tuple[int, bool, bool], ca.Function]:
+    def _integrators(self) -> dict[tuple[int, bool, bool, int], ca.Function]:
         return {}
 
-    def _integrator(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
-        key = (steps, correct_first, energy)
+    def _integrator(self, steps: int, correct_first: bool, energy: bool, level: int) -> ca.Function:
+        key = (steps, correct_first, energy, level)
         if key not in self._integrators:
             self._integrators[key] = self._build(*key)
         return self._integrators[key]
 
-    def _build(self, steps: int, correct_first: bool, energy: bool) -> ca.Function:
+    def _build(self, steps: int, correct_first: bool, energy: bool, level: int) -> ca.Function:
         """IDAS over a grid of steps, in the deviation from a motion with the right first derivative.
 
         CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: with plain states 7 %
@@ -185,7 +222,7 @@ class Simulator(Propagation):
         most = alone if steps == 1 else MAX_STEPS_TOGETHER
         options = {
             "reltol": self.rtol,
-            "abstolv": (self.rtol * self._nominal).tolist(),
+            "abstolv": (10.0 ** (0.5 * level) * self.rtol * self._nominal).tolist(),
             "suppress_algebraic": True,
             "calc_ic": correct_first,
             "linear_solver": "csparse",
