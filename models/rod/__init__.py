@@ -6,12 +6,12 @@ A scene is a rod and terms that act on it::
     arm.statics().solve(u)      arm.simulator(dt=0.03).run(U)      arm.fields(states, stations=6)
 """
 
+from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.kinematics.strains import StrainSet
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.section.material import Elastic, Stiffness
 from pisplit.models.rod.section.section import Circle, GeneralSection, Tapered, Tube
-from pisplit.models.rod.statics.resolution import Unresolved
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.buoyancy import Buoyancy
 from pisplit.models.rod.terms.chambers import Chambers

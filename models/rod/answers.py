@@ -15,3 +15,7 @@ def finite_answer(values: Array, what: str) -> Array:
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{what} overflow: strains or rates of the state are too large; give one that a rod can have")
     return values
+
+
+class Unresolved(UserWarning):
+    """The nodes of a scene, or the steps in time, are too few for the shape or the motion."""

@@ -37,6 +37,8 @@ LEAST_FADING = 1e-3
 LEAST_SIZE, AT_REST = 1e-4, 1e-8
 #: Change of a scaled strain in motions for which the absolute tolerances are those of nominal sizes.
 TYPICAL = 0.3
+#: By how much the tolerance of the motion that checks another is smaller, and the least that IDAS takes.
+FINER, LEAST_RTOL = 0.1, 1e-12
 #: Commands of a run by which its size is judged, and the step of differences of scaled strains.
 JUDGED, STEP = 64, 1e-6
 
@@ -61,6 +63,7 @@ class Simulator(Propagation):
 
     scheme = "IDAS"
     counters = ("nsteps", "nlinsetups", "netfails")
+    remedy = "give a smaller rtol"
 
     def __init__(
         self,
@@ -73,9 +76,14 @@ class Simulator(Propagation):
     ) -> None:
         super().__init__(scene, dt, stations, balance)
         self.rtol = positive(rtol, "Simulator rtol")
-        if not 1e-12 <= self.rtol <= 0.1:
+        if not LEAST_RTOL <= self.rtol <= 0.1:
             raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
         self.inputs = one_of(inputs, "Simulator inputs", ("ramp", "step"))
+        self.balance = balance
+
+    def _on(self, scene: Scene) -> Simulator:
+        rtol = max(FINER * self.rtol, LEAST_RTOL)
+        return Simulator(scene, self.dt, rtol, self.inputs, balance=self.balance)
 
     def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
         """States [xi, xi_t] after each command.

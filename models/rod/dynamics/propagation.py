@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,12 +13,18 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.rod.analysis.fields import UNITS
+from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
+from pisplit.models.rod.dynamics.motion_error import motion_error
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
+    from pisplit.models.rod.statics.resolution import Resolution
+
+#: Error of a motion, in parts of its travel, above which a run that is checked warns, and least one in parts of L.
+ALLOWED, LEAST = 1e-3, 1e-7
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,8 @@ class Propagation(Rebuilt, ABC):
     scheme: str
     #: Names of its counters in ``Trajectory.stats``.
     counters: tuple[str, ...]
+    #: What makes its steps smaller, in warnings.
+    remedy: str
 
     def __init__(self, scene: Scene, dt: float, stations: int | ArrayLike, balance: str) -> None:
         self.scene = scene
@@ -84,10 +94,23 @@ class Propagation(Rebuilt, ABC):
         Raises RuntimeError when the scheme gives up.
         """
 
+    @abstractmethod
+    def _on(self, scene: Scene) -> Propagation:
+        """The same scheme with smaller errors in time on another grid of the scene."""
+
+    @cached_property
+    def finer(self) -> Propagation:
+        """The same motion on two more nodes an element and with smaller errors in time, by which ``run`` checks."""
+        return self._on(self._resolution.finer)
+
+    @cached_property
+    def _resolution(self) -> Resolution:
+        return self.equations.statics().resolution
+
     # Trajectories ----------------------------------------------------------------------------------------------------
 
     @in_turn("equations")
-    def run(self, u: ArrayLike, x0: ArrayLike | None = None, energy: bool = False) -> Trajectory:
+    def run(self, u: ArrayLike, x0: ArrayLike | None = None, energy: bool = False, check: bool = False) -> Trajectory:
         """Trajectory under a sequence of commands; the plant stays where it is.
 
         Inputs that ramp start where ``x0`` has them and reach ``u[k]`` at the end of step k. An integrator that gives
@@ -97,6 +120,8 @@ class Propagation(Rebuilt, ABC):
             u: commands (T, n_inputs).
             x0: state [xi, xi_t, u] (n_states,) to start from, at rest under zero inputs when not given.
             energy: whether to integrate the work of every term along the way, for ``Trajectory.energy()``.
+            check: whether to move the scene once more on a finer grid in space and time (2 to 5 times the cost) for
+                ``Trajectory.error``; above 1e-3 of the travel it warns (``Unresolved``) and names the step.
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
@@ -111,7 +136,7 @@ class Propagation(Rebuilt, ABC):
             states, stats, message = self._as_far_as_possible(start, commands, energy)
             success = not message
         done, size = len(states), 2 * self.scene.n_strains
-        return Trajectory(
+        found = Trajectory(
             t=self.dt * np.arange(done + 1, dtype=np.float64),
             x=np.vstack([start, np.hstack([states[:, :size], commands[:done]])]),
             u=commands[:done].copy(),
@@ -121,6 +146,26 @@ class Propagation(Rebuilt, ABC):
             scene=self.equations,
             work=np.vstack([np.zeros(states.shape[1] - size), states[:, size:]]) if energy else None,
         )
+        return self._checked(found) if check else found
+
+    def _checked(self, found: Trajectory) -> Trajectory:
+        """``found`` with its error; warns where that is large, or where there is nothing to compare with."""
+        start = self._resolution.on_finer(found.x[0])
+        finer = self.finer.run(found.u, start) if len(found.u) else None
+        if finer is None or not finer.success:
+            why = "it has no steps" if finer is None else f"the finer motion ends: {finer.message}"
+            warnings.warn(f"the motion cannot be checked: {why}", Unresolved, stacklevel=4)
+            return found
+        error = motion_error(found, finer)
+        step = error.first_above(ALLOWED, LEAST * self.scene.rod.length)
+        if step is not None:
+            warnings.warn(
+                f"the motion is off by {error.of_travel:.1g} of its travel, by more than {ALLOWED:g} from step {step} "
+                f"(t = {step * self.dt:g} s) on; {self.remedy}, or more nodes than {self.scene.nodes}",
+                Unresolved,
+                stacklevel=4,
+            )
+        return replace(found, error=error)
 
     def _as_far_as_possible(self, start: Array, commands: Array, energy: bool) -> tuple[Array, dict[str, int], str]:
         """Step by step until a step fails."""

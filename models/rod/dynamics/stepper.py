@@ -43,6 +43,7 @@ class Stepper(Propagation):
 
     scheme = "Gauss"
     counters = ("nsteps", "iterations", "halvings")
+    remedy = "give a smaller step"
 
     def __init__(
         self,
@@ -60,6 +61,11 @@ class Stepper(Propagation):
         self.stages = count(stages, "Stepper stages")
         if self.stages > 3:
             raise ValueError(f"Stepper stages = {stages}; expected 1, 2 or 3")
+        self.balance = balance
+
+    def _on(self, scene: Scene) -> Stepper:
+        half = self.dt / (2 * self.substeps)
+        return Stepper(scene, self.dt, half, self.stages, self.tolerance, balance=self.balance)
 
     @cached_property
     def collocation(self) -> Collocation:

@@ -11,6 +11,7 @@ from pisplit.checks import Array
 
 if TYPE_CHECKING:
     from pisplit.models.rod.analysis.energy import EnergyAccount
+    from pisplit.models.rod.dynamics.motion_error import MotionError
     from pisplit.models.rod.scene import Scene
 
 
@@ -23,6 +24,7 @@ class Trajectory:
         success: False when the integrator gave up; t, x and u then end at the last good step.
         message: why it gave up, empty on success.
         stats: counters of the scheme over the steps that succeeded (``nsteps`` and others), zeros when none did.
+        error: estimated error, when ``run`` was asked to check the motion.
         work: (T+1, n_terms) work in J of every term since the start, when ``run`` was asked for the energy.
         scene: the scene whose equations moved.
     """
@@ -35,6 +37,7 @@ class Trajectory:
     stats: dict[str, int]
     scene: Scene = field(repr=False, compare=False)
     work: Array | None = field(default=None, repr=False)
+    error: MotionError | None = None
 
     def fields(self, stations: int | ArrayLike = 6) -> Array:
         """The 24 fields (T+1, S, 24) at stations; see ``Fields``."""

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit.checks import Array
+from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
 
 if TYPE_CHECKING:
@@ -26,10 +27,8 @@ MORE, MOST = 2, 24
 POINTS = 20
 #: Change of a scaled unknown by which the finer balance is differentiated.
 STEP = 1e-6
-
-
-class Unresolved(UserWarning):
-    """The nodes of a scene are too few for the shape that it takes."""
+#: Newton steps that take an equilibrium to the next grid, and the scaled residual of states that are equilibria.
+STEPS, BALANCED = 6, 1e-5
 
 
 class Resolution(Rebuilt):
@@ -58,7 +57,7 @@ class Resolution(Rebuilt):
         Infinite where the finer balance has no slopes (at the load at which the rod buckles), or overflows.
         """
         n, u = self.scene.n_strains, state[2 * self.scene.n_strains :]
-        better = self._on_finer(state)
+        better = self._interpolated(state[:n])
         better = better + self._newton_step(better, u)
         if not np.isfinite(better).all():
             return float("inf")
@@ -102,18 +101,32 @@ class Resolution(Rebuilt):
         """Grids of more and more nodes, and the equilibrium near ``state`` on each."""
         here, u = self, state[2 * self.scene.n_strains :]
         while max(here.scene.element_nodes) + MORE <= MOST:
-            xi = here._on_finer(state)
-            for _ in range(6):
-                xi = xi + here._newton_step(xi, u)
-            if not np.isfinite(xi).all():
+            xi = here._root_near(here._interpolated(state[: here.scene.n_strains]), u)
+            if xi is None:
                 return
             here, state = Resolution(here.finer), np.concatenate([xi, np.zeros_like(xi), u])
             yield here, state
 
-    def _on_finer(self, state: Array) -> Array:
-        """Strains (n,) of a ``state`` at the nodes of the finer grid."""
-        strains = state[: self.scene.n_strains].reshape(self.scene.nodes, -1)
-        return np.asarray(self.scene.rule.interpolate(self.finer.rule.nodes) @ strains).ravel()
+    def on_finer(self, state: Array) -> Array:
+        """``state`` [xi, xi_t, u] on the finer grid: an equilibrium goes to the one there, others are interpolated."""
+        n = self.scene.n_strains
+        xi, rates, u = self._interpolated(state[:n]), self._interpolated(state[n : 2 * n]), state[2 * n :]
+        if not np.any(rates):
+            residual = np.asarray(self._balance(state[:n], u)).ravel()
+            root = self._root_near(xi, u) if np.abs(residual).max() < BALANCED else None
+            xi = xi if root is None else root
+        return np.concatenate([xi, rates, u])
+
+    def _interpolated(self, values: Array) -> Array:
+        """Strains or rates (n,) at the nodes of the finer grid."""
+        at_nodes = values.reshape(self.scene.nodes, -1)
+        return np.asarray(self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes).ravel()
+
+    def _root_near(self, xi: Array, u: Array) -> Array | None:
+        """Equilibrium (n,) of the finer grid near strains ``xi``, None where the steps overflow."""
+        for _ in range(STEPS):
+            xi = xi + self._newton_step(xi, u)
+        return xi if np.isfinite(xi).all() else None
 
     def _newton_step(self, xi: Array, u: Array) -> Array:
         """Change of the strains ``xi`` (n,) on the finer grid by one Newton step; slopes by differences."""
@@ -132,6 +145,12 @@ class Resolution(Rebuilt):
         xi, u, balance = self.finer.static_balance
         residual = balance.residual / ca.DM(self.finer.nominal_residual)
         return ca.Function("balance", [xi, u], [residual]).map(len(self.finer.nominal_strains) + 1)
+
+    @cached_property
+    def _balance(self) -> ca.Function:
+        """``(xi, u) -> residual`` of the scene's own grid in scaled form."""
+        xi, u, balance = self.scene.static_balance
+        return ca.Function("own", [xi, u], [balance.residual / ca.DM(self.scene.nominal_residual)])
 
     @cached_property
     def _shapes(self) -> tuple[ca.Function, ca.Function]:

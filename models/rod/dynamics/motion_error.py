@@ -1,0 +1,61 @@
+"""Is a motion right? Its distance from the same motion on a finer grid in space and time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pisplit.checks import Array
+from pisplit.models.rod.dynamics.trajectory import Trajectory
+
+#: Points along the rod at which shapes are compared.
+POINTS = 20
+
+
+@dataclass(frozen=True)
+class MotionError:
+    """Estimated error of a motion.
+
+    Attributes:
+        distance: (T+1,) m, largest along the rod, from the motion on the finer grid.
+        travel: m, farthest that any point of the rod gets from where it starts.
+    """
+
+    distance: Array
+    travel: float
+
+    @property
+    def largest(self) -> float:
+        """Largest distance in m."""
+        return float(self.distance.max())
+
+    @property
+    def of_travel(self) -> float:
+        """Largest distance in parts of the travel; of a rod that stays exactly where it is, 0 or infinite."""
+        if self.travel > 0.0:
+            return self.largest / self.travel
+        return 0.0 if self.largest == 0.0 else float("inf")
+
+    def first_above(self, share: float, least: float = 0.0) -> int | None:
+        """First step after which the distance grew by more than ``share`` of the travel and ``least`` (m), or None.
+
+        What both shapes differ by at the start is an error of the equilibrium or of the given state, which is told
+        there; motions of less than that are not judged.
+        """
+        above = np.flatnonzero(self.distance > max(share * self.travel, least) + self.distance[0])
+        return int(above[0] - 1) if len(above) else None
+
+
+def motion_error(found: Trajectory, finer: Trajectory) -> MotionError:
+    """Distance of two motions of one rod, at 20 points along it, over the time that both last.
+
+    Args:
+        found: the motion that is judged.
+        finer: the same on more nodes, with smaller steps.
+    """
+    points = found.scene.rod.length * np.arange(1, POINTS + 1) / POINTS
+    last = min(len(found.t), len(finer.t))
+    here, there = (motion.fields(points)[:last, :, :3] for motion in (found, finer))
+    far = np.linalg.norm(here - here[0], axis=2)
+    return MotionError(np.linalg.norm(here - there, axis=2).max(axis=1), float(far.max()))
