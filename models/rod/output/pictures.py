@@ -76,21 +76,30 @@ def shape_of(scene: Scene, states: ArrayLike) -> Shape:
     """
     x = finite_array(np.atleast_2d(np.asarray(states, float)), "states", (None, scene.n_states))
     s = np.linspace(0.0, scene.rod.length, POINTS)
-    y = scene.fields(x, s)
-    p, frames = 1e3 * y[..., :3], y[..., 3:12].reshape(len(x), POINTS, 3, 3)
+    p, _ = _placed(scene, x, s)
     bundles = [t for t in scene.terms if isinstance(t, Tendons)]
     lines, radius = [], 4.0 * scene.rod.length
+    plates_at = s[np.linspace(0, POINTS - 1, PLATES).round().astype(int)] if bundles else np.zeros(1)
     for bundle in bundles:
-        reach = s <= (scene.rod.length if bundle.end is None else bundle.end) * (1.0 + 1e-12)
+        places = s[s <= (scene.rod.length if bundle.end is None else bundle.end) * (1.0 + 1e-12)]
+        if bundle.disks is not None:  # straight from hole to hole
+            places = plates_at = bundle.holes(scene.rod.length)
+        here, turned = _placed(scene, x, places)
         for route in bundle.offsets:
-            offset = 1e3 * sample(route, s[reach], scene.rod.length)[0]
-            lines.append(p[:, reach] + np.einsum("nsij,js->nsi", frames[:, reach], offset))
+            offset = 1e3 * sample(route, places, scene.rod.length)[0]
+            lines.append(here + np.einsum("nsij,js->nsi", turned, offset))
             radius = max(radius, 1.15 * float(np.linalg.norm(offset, axis=0).max()))
     angle = np.linspace(0.0, 2.0 * np.pi, 33)
     rim = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    at = np.linspace(0, POINTS - 1, PLATES).round().astype(int) if bundles else np.array([0])
-    plates = p[:, at, None, :] + np.einsum("nsij,ja->nsai", frames[:, at], rim)
+    middle, turned = _placed(scene, x, plates_at)
+    plates = middle[:, :, None, :] + np.einsum("nsij,ja->nsai", turned, rim)
     return Shape(p, plates, tuple(lines), tensions(scene, x))
+
+
+def _placed(scene: Scene, x: Array, places: Array) -> tuple[Array, Array]:
+    """Positions (N, S, 3) in mm and frames (N, S, 3, 3) at arclengths ``places`` (S,) in m."""
+    y = scene.fields(x, places)
+    return 1e3 * y[..., :3], y[..., 3:12].reshape(*y.shape[:2], 3, 3)
 
 
 def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:

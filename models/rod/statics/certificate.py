@@ -51,7 +51,7 @@ class Certificate(Rebuilt):
     -int |N| |turn|^2 ds, so that diag(b k) - |A|^T diag(b |N|) |A| with k = min(EI, GJ) bounds the stiffness.
     Where it is positive definite the equilibrium is the only one. In the plane this is a proof; in space no
     counterexample is known. There is no bound for follower loads, friction, moments in space, weights off the axis,
-    user's own terms, a moving base and rods that shear or stretch.
+    tendons over disks (between which rods buckle), user's own terms, a moving base and rods that shear or stretch.
 
     Args:
         scene: the rod and what acts on it.
@@ -89,6 +89,8 @@ class Certificate(Rebuilt):
         if not all(type(t) in KNOWN or isinstance(t, TendonTerm) for t in terms) or without_energy(scene):
             return False
         if any(isinstance(t, Base) and (t.moves or t.inputs) for t in terms) or self._kept <= 0.0:
+            return False
+        if any(getattr(t, "disks", None) is not None for t in terms):  # chords are not convex in the strains
             return False
         if any(isinstance(t, PointMass) and any(t.offset) for t in terms):  # its weight has an arm that turns
             return False

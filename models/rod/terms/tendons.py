@@ -14,6 +14,7 @@ from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.section.texts import OPTION, brief
+from pisplit.models.rod.terms.disks import Chords, checked_disks, falling, holes
 from pisplit.models.rod.terms.idle import idle_on_the_axis
 from pisplit.models.rod.terms.loads import Input, Loads
 from pisplit.models.rod.terms.pull import Pull, TendonTerm
@@ -33,6 +34,8 @@ from pisplit.smooth import softplus
 SLACK_STRAIN = 1e-5
 #: Turning over the length of the rod in rad below which capstan friction sets in smoothly.
 TURN_FLOOR = 1e-3
+#: What tendons over disks offer for reading.
+READINGS = ("tension", "length", "unpulled_length", "chord_tension")
 #: Offsets in m that are rounding, such as the sine of 180 degrees.
 IN_PLANE = 1e-12
 
@@ -114,7 +117,16 @@ class Tendons(TendonTerm):
         friction: coefficient mu of capstan friction: the tension falls from the base by exp(-mu phi) with the angle phi
             in rad by which the path has turned, as when the tendon is being pulled. The drive acts at the base; with a
             displacement drive the stretch is that of the mean tension. Friction the other way, on
-            release, is not modelled.
+            release, is not modelled without disks.
+        disks: number of disks at equal distances, or their arclengths (n,) in m; none when not given. The tendons then
+            run straight from hole to hole, from the base plate at s = 0 to the last disk, which is where they ``end``:
+            their length is that of the chords, they load the rod at the disks, and the angle phi of friction is that
+            between the chords at both sides of each disk. Many disks tend to tendons without them, with the square of
+            the distance. An element from disk to disk resolves the bending between them; disks have no mass here
+            (``PointMass.disc``).
+        slip_speed: speed in m/s over which friction at the disks turns round, by tanh of the speed at which the tendon
+            slides through each; at rest it holds nothing then, and rods creep at that speed. Statics, and motion when
+            it is not given: as when the tendon is being pulled.
     """
 
     offsets: Sequence[Route]
@@ -122,12 +134,20 @@ class Tendons(TendonTerm):
     name: str = "tendons"
     end: float | None = field(default=None, metadata=OPTION)
     friction: float = field(default=0.0, metadata=OPTION)
+    disks: int | Sequence[float] | None = field(default=None, metadata=OPTION)
+    slip_speed: float | None = field(default=None, metadata=OPTION)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "offsets", checked_routes(self.offsets, "Tendons"))
         if self.end is not None:
             positive(self.end, "Tendons end", "m")
         non_negative(self.friction, "Tendons friction")
+        if self.disks is not None:
+            object.__setattr__(self, "disks", checked_disks(self.disks))
+        if self.slip_speed is not None:
+            positive(self.slip_speed, "Tendons slip_speed", "m/s")
+            if self.disks is None:
+                raise ValueError("Tendons slip_speed is that of friction at disks; give disks= too, or leave it out")
 
     __repr__ = brief
 
@@ -140,13 +160,15 @@ class Tendons(TendonTerm):
         name: str = "tendons",
         end: float | None = None,
         friction: float = 0.0,
+        disks: int | Sequence[float] | None = None,
+        slip_speed: float | None = None,
     ) -> Tendons:
         """Tendons on a circle of radius ``offset`` in m at ``angles_deg`` in degrees.
 
-        ``drive``, ``name``, ``end`` and ``friction`` as in the class.
+        ``drive``, ``name``, ``end``, ``friction``, ``disks`` and ``slip_speed`` as in the class.
         """
         points = on_circle(offset, angles_deg, "Tendons")
-        return cls([tuple(p) for p in points], drive, name, end, friction)
+        return cls([tuple(p) for p in points], drive, name, end, friction, disks, slip_speed)
 
     @classmethod
     def helical(
@@ -158,13 +180,16 @@ class Tendons(TendonTerm):
         name: str = "tendons",
         end: float | None = None,
         friction: float = 0.0,
+        disks: int | Sequence[float] | None = None,
+        slip_speed: float | None = None,
     ) -> Tendons:
         """Tendons on helices of radius ``offset`` and ``pitch`` in m that start at ``angles_deg`` in degrees.
 
-        ``drive``, ``name``, ``end`` and ``friction`` as in the class.
+        ``drive``, ``name``, ``end``, ``friction``, ``disks`` and ``slip_speed`` as in the class.
         """
         phases = np.deg2rad(finite_array(np.asarray(angles_deg), "Tendons angles_deg", (None,)))
-        return cls([Helix(offset, pitch, phase) for phase in phases.tolist()], drive, name, end, friction)
+        routes = [Helix(offset, pitch, phase) for phase in phases.tolist()]
+        return cls(routes, drive, name, end, friction, disks, slip_speed)
 
     @classmethod
     def converging(
@@ -177,14 +202,16 @@ class Tendons(TendonTerm):
         name: str = "tendons",
         end: float | None = None,
         friction: float = 0.0,
+        disks: int | Sequence[float] | None = None,
+        slip_speed: float | None = None,
     ) -> Tendons:
         """Tendons at ``angles_deg`` with an offset from ``start`` at the base to ``end_offset`` at ``length``; in m.
 
-        ``drive``, ``name``, ``end`` and ``friction`` as in the class.
+        ``drive``, ``name``, ``end``, ``friction``, ``disks`` and ``slip_speed`` as in the class.
         """
         directions = on_circle(1.0, angles_deg, "Tendons")
         lines = [Line((start * x, start * y), (end_offset * x, end_offset * y), length) for x, y in directions]
-        return cls(lines, drive, name, end, friction)
+        return cls(lines, drive, name, end, friction, disks, slip_speed)
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -196,6 +223,9 @@ class Tendons(TendonTerm):
 
         ``motion`` is that of the rod; ``loads`` takes what is added.
         """
+        if self.disks is not None:
+            self._apply_over_disks(motion, loads)
+            return
         u, k = loads.inputs[self.name], motion.rule.n_nodes
         unpulled = self.unpulled_lengths(motion.rod, motion.rule)
         n = self._n_loaded(motion.rule)
@@ -222,8 +252,50 @@ class Tendons(TendonTerm):
         for name, values in readings.items():
             loads.outputs[name] = ca.vertcat(loads.outputs.get(name, ca.SX(0, 1)), *values)
 
+    def _apply_over_disks(self, motion: Motion, loads: Loads) -> None:
+        """The same for chords between disks; offers the ``chord_tension`` too, tendon by tendon."""
+        u, chords = loads.inputs[self.name], self._chords(motion.rod, motion.rule)
+        lengths, angles, _ = chords.measure(motion.strains)
+        unpulled, rubs = chords.unloaded(), self.friction > 0.0
+        slip: ca.SX | float = 1.0
+        if rubs and self.slip_speed is not None and motion.rates.nnz():
+            rates = chords.rates(motion.strains, motion.rates)
+            beyond = ca.cumsum(rates[::-1, :])[::-1, :][1:, :]  # of the way from each disk to the end
+            slip = ca.tanh(-beyond / self.slip_speed)
+        tensions, readings = [], {name: loads.outputs.get(name, ca.SX(0, 1)) for name in READINGS}
+        for i in range(len(self.offsets)):
+            length = ca.sum1(lengths[:, i])
+            at_base = tension = self.drive.tension(length, float(unpulled[i]), u[i])
+            along = ca.repmat(tension, lengths.shape[0], 1)
+            if rubs:
+                decay = falling(angles[:, i], self.friction, slip if isinstance(slip, float) else slip[:, i])
+                if isinstance(self.drive, Displacement):
+                    at_base = tension * float(chords.spacing.sum()) / ca.dot(decay, ca.DM(chords.spacing))
+                along = at_base * decay
+            tensions.append(along)
+            slack_at = self.drive.unstretched(length, float(unpulled[i]), u[i])
+            for name, value in zip(READINGS, (at_base, length, slack_at, along), strict=True):
+                readings[name] = ca.vertcat(readings[name], value)
+        moment, force = chords.stress(motion.strains, ca.horzcat(*tensions))
+        loads.stress_w += moment
+        loads.stress_v += force
+        loads.outputs |= readings
+
+    def _chords(self, rod: Rod, rule: Rule) -> Chords:
+        return Chords(self.offsets, self.holes(rod.length), rod, rule)
+
+    def holes(self, length: float) -> Array:
+        """Arclengths (n + 1,) in m of base plate and disks on a rod of ``length`` in m; (0,) without disks.
+
+        Raises ValueError where the last disk is not where the tendons end.
+        """
+        end = length if self.end is None else self.end
+        return np.zeros(1) if self.disks is None else holes(checked_disks(self.disks), end)
+
     def unpulled_lengths(self, rod: Rod, rule: Rule) -> Array:
-        """Path length (m,) in m of every tendon on the unloaded rod, by the quadrature of ``rule``."""
+        """Path length (m,) in m of every tendon on the unloaded rod, by the quadrature of ``rule`` or of its chords."""
+        if self.disks is not None:
+            return self._chords(rod, rule).unloaded()
         n = self._n_loaded(rule)
         rest = rod.profile(rule.nodes[:n]).rest
         straight = not np.any(rest[:3])
@@ -244,8 +316,9 @@ class Tendons(TendonTerm):
         """
         n = self._n_loaded(rule)
         check_routes(self.offsets, rule, n, rod.length, "Tendons")
+        places = rule.nodes[:n] if self.disks is None else self.holes(rod.length)
         for route in self.offsets:
-            r, slope = sample(route, rule.nodes[:n], rod.length)
+            r, slope = sample(route, places, rod.length)
             if rod.strain_set.planar and max(np.abs(r[1]).max(), np.abs(slope[1]).max() * rod.length) > IN_PLANE:
                 raise ValueError("a planar rod takes tendons in its plane only; offsets must have y = 0")
 
@@ -277,7 +350,9 @@ class Tendons(TendonTerm):
         end = "" if self.end is None else f", to s = {self.end:g} m"
         friction = f", friction {self.friction:g}" if self.friction else ""
         kind = "parallel" if parallel else "routed"
-        return f"{len(self.offsets)} {kind} tendons, offset {1e3 * radius:g} mm, {self.drive.describe()}{end}{friction}"
+        disks = "" if self.disks is None else f", {len(self.holes(rod.length)) - 1} disks"
+        how = f"{self.drive.describe()}{end}{friction}{disks}"
+        return f"{len(self.offsets)} {kind} tendons, offset {1e3 * radius:g} mm, {how}"
 
 
 def turned_angle(a: ca.SX, norm: ca.SX, motion: Motion, n: int) -> ca.SX:
