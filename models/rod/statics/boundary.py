@@ -9,19 +9,35 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.sharing import Rebuilt
-from pisplit.models.rod.statics.continuation import follow
+from pisplit.models.rod.statics.branch import RESTING, told
+from pisplit.models.rod.statics.certificate import without_energy
+from pisplit.models.rod.statics.descent import descend
+from pisplit.models.rod.statics.held import HeldJudge
+from pisplit.models.rod.statics.path import Event, Walk, walk
 from pisplit.models.rod.statics.search import TOLERANCE
+from pisplit.models.rod.statics.whitened import Way
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
+    from pisplit.models.rod.statics.search import Search
+    from pisplit.models.rod.statics.whitened import Whitened
 
 _FORCE, _MOMENT = "force at the tip", "moment at the tip"
+#: Unit of the multipliers in EI/L^2 and EI/L: the Euler load of a clamped strut, so that they compare with angles.
+UNIT = 4.0 * np.pi**2
+#: Least singular value of the conditions, in parts of the largest, at which the tip can be moved in every direction.
+MOVABLE = 1e-4
+#: Share of the way of a straight rod to its place that its first bend takes, and the largest bend [rad].
+FIRST_WAY, FIRST_BEND = 0.1, 0.5
+#: Step of differences along the way.
+STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -31,8 +47,13 @@ class FixedTipEquilibrium:
     Attributes:
         state: [xi, 0, u] (n_states,).
         force: (3,) in N and moment: (3,) in N m at the tip, in world axes; the moment of a pinned tip is zero.
-        success: whether balance and pose are met; message: why not, empty on success.
+        success: whether balance and pose are met by a stable shape; message: why not, or where stability was lost on
+            the way to it.
         residual: largest error of balance (parts of EI/L) and pose (parts of L, rad).
+        stable: whether no deformation that leaves the tip in its place goes on by itself.
+        branch: ``"followed"``, ``"snapped"``, ``"given"`` or ``"unverified"`` as in ``Equilibrium``, for the motion of
+            the tip from where it started.
+        load_factor: part of the way of the tip at which stability was lost first; 1 if it was not.
         scene: the scene in equilibrium.
     """
 
@@ -42,109 +63,245 @@ class FixedTipEquilibrium:
     success: bool
     residual: float
     message: str
-    scene: Scene = field(repr=False, compare=False)
+    stable: bool = False
+    branch: str = "unverified"
+    load_factor: float = 1.0
+    scene: Scene = field(repr=False, compare=False, kw_only=True)
+
+
+@dataclass(frozen=True)
+class Journey:
+    """How the tip goes from one pose to another: straight on, at a constant turn, about itself if it is twisted.
+
+    Attributes:
+        start, goal: positions (3,) in m.
+        frame: rotation at the start; turn: rotation vector (3,) to that of the goal, in the axes of the start.
+        turns: about the axis of the tip, beside that.
+    """
+
+    start: Array
+    goal: Array
+    frame: Rotation
+    turn: Array
+    turns: float
+
+    def at(self, t: float) -> Array:
+        """Position and columns of the rotation (12,) at ``t``, 0 at the start and 1 at the goal."""
+        spun = Rotation.from_rotvec([0.0, 0.0, 2.0 * np.pi * self.turns * t])
+        now = (self.frame * Rotation.from_rotvec(t * self.turn) * spun).as_matrix()
+        return np.concatenate([self.start + t * (self.goal - self.start), now.ravel(order="F")])
 
 
 class FixedTip(Rebuilt):
     """Equilibria of a scene with its tip in a given place; see ``Statics.pin_tip`` and ``Statics.clamp_tip``.
 
+    The unknowns are whitened strains y (see ``Whitened``) and multipliers, of which the wrench at the tip consists.
+
     Args:
-        scene: the rod and what acts on it.
+        whitened: the balance of the scene.
         clamped: whether the rotation of the tip is prescribed beside its position.
     """
 
-    def __init__(self, scene: Scene, clamped: bool) -> None:
-        self.scene = scene
+    def __init__(self, whitened: Whitened, clamped: bool) -> None:
+        self.whitened = whitened
+        self.scene = scene = whitened.search.scene
         planar = scene.rod.strain_set.planar
         self._axes = [0, 2] if planar else [0, 1, 2]
         self._turns = ([1] if planar else [0, 1, 2]) if clamped else []
-        self._force_scale = min(scene.rod.stiffness[:2]) / scene.rod.length**2
-        self._moment_scale = self._force_scale * scene.rod.length
+        self._force_unit = UNIT * min(scene.rod.stiffness[:2]) / scene.rod.length**2
+        self._moment_unit = self._force_unit * scene.rod.length
+
+    @cached_property
+    def judge(self) -> HeldJudge:
+        """Tells stable shapes."""
+        return HeldJudge(not without_energy(self.scene), self.scene.n_strains)
+
+    @cached_property
+    def _search(self) -> Search:
+        return self.whitened.search
 
     @cached_property
     def _errors(self) -> ca.Function:
-        """``(x, [u, p, turn]) -> `` errors of balance (paper, eq. cosserat_rod_eq) and pose, scaled."""
+        """``(x, multipliers, u, pose) -> `` errors of balance (paper, eq. cosserat_rod_eq) and pose, their slopes."""
         scene = self.scene
         loaded = scene + TipWrench(Input(_FORCE, 3), Input(_MOMENT, 3))
         n, m = scene.n_strains, scene.n_inputs
         xi, inputs, balance = loaded.static_balance
         motion = balance.motion
-        x, u = ca.SX.sym("x", n + len(self._axes) + len(self._turns)), ca.SX.sym("u", m)
-        p, turn = ca.SX.sym("p", 3), ca.SX.sym("turn", 3, 3)
+        x, many = ca.SX.sym("x", n), ca.SX.sym("multipliers", len(self._axes) + len(self._turns))
+        u, p, turn = ca.SX.sym("u", m), ca.SX.sym("p", 3), ca.SX.sym("turn", 3, 3)
         off = ca.inv_skew(turn.T @ motion.tip_frame) - ca.inv_skew(motion.tip_frame.T @ turn)
-        pose = [(motion.tip - p)[self._axes] / scene.rod.length, 0.5 * off[self._turns]]
-        errors = ca.vertcat(balance.residual / ca.DM(loaded.nominal_residual), *pose)
-        wrench = self._wrench(x[n:], ca.SX)
-        known = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x[:n]
-        (errors,) = ca.substitute([errors], [xi, inputs], [known, ca.vertcat(u, wrench)])
-        return ca.Function("errors", [x, ca.vertcat(u, p, ca.vec(turn))], [errors], {"cse": True})
+        # The moment acts along the axes of the prescribed frame, which does not turn with the rod.
+        pose = ca.vertcat((motion.tip - p)[self._axes] / scene.rod.length, 0.5 * off[self._turns])
+        residual = balance.residual / ca.DM(loaded.nominal_residual)
+        known = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
+        wrench = self._wrench(many, turn, ca.SX.zeros(3), ca.SX.zeros(3))
+        residual, pose = ca.substitute([residual, pose], [xi, inputs], [known, ca.vertcat(u, *wrench)])
+        slopes = [ca.jacobian(residual, x), ca.jacobian(residual, many), ca.jacobian(pose, x)]
+        outputs = [residual, pose, *map(ca.densify, slopes)]
+        return ca.Function("errors", [x, many, u, ca.vertcat(p, ca.vec(turn))], outputs, {"cse": True})
 
-    @cached_property
-    def _solver(self) -> ca.Function:
-        options: dict[str, Any] = {"error_on_fail": True, "abstol": 1e-10, "max_iter": 30, "linear_solver": "qr"}
-        return ca.rootfinder("fixed_tip", "newton", self._errors, {**options, "show_eval_warnings": False})
-
-    def _wrench(self, multipliers: ca.SX | Array, kind: type) -> ca.SX | Array:
-        """Force and moment (6,) from the scaled unknowns."""
-        wrench = kind.zeros(6) if kind is ca.SX else np.zeros(6)
+    def _wrench(self, multipliers: Any, turn: Any, force: Any, moment: Any) -> tuple[Any, Any]:
+        """World force and moment, (3,) each, of multipliers; ``force`` and ``moment`` come as zeros."""
         for k, axis in enumerate(self._axes):
-            wrench[axis] = self._force_scale * multipliers[k]
+            force[axis] = self._force_unit * multipliers[k]
         for k, axis in enumerate(self._turns):
-            wrench[3 + axis] = self._moment_scale * multipliers[len(self._axes) + k]
-        return wrench
+            moment[axis] = self._moment_unit * multipliers[len(self._axes) + k]
+        return force, turn @ moment
 
-    def _bend(self, way: Array) -> Array:
-        """A slight bend of the scaled unknowns towards where the tip shall go."""
-        free, nodes = self.scene.rod.strain_set.free, self.scene.nodes
-        across = way[:2] / np.linalg.norm(way[:2]) if np.linalg.norm(way[:2]) > 0.0 else np.array([1.0, 0.0])
-        node = [{0: -across[1], 1: across[0]}.get(component, 0.0) for component in free]
-        taper = 1.0 - self.scene.rule.nodes / self.scene.rod.length
-        bend = np.zeros(self.scene.n_strains + len(self._axes) + len(self._turns))
-        bend[: len(free) * nodes] = np.outer(taper, node).ravel()
-        return bend
+    def way(self, u: Array, journey: Journey) -> Way:
+        """The tip goes along a ``journey`` under inputs ``u`` (n_inputs,)."""
+        of_x, of_residual, of_slopes = self.whitened.sizes
+        n = len(of_x)
 
-    def solve(self, u: Array, position: ArrayLike, rotation: ArrayLike | None, free: Array) -> FixedTipEquilibrium:
-        """Equilibrium under inputs ``u`` (n_inputs,) reached from the free one along a straight way.
+        def way(y: Array, t: float) -> tuple[Array, Array, Array]:
+            x, many = y[:n] / of_x, y[n:]
+            residual, off, h, j, g = (np.asarray(v) for v in self._errors(x, many, u, journey.at(t)))
+            force = np.concatenate([of_residual * residual.ravel(), UNIT * off.ravel()])
+            slopes = -np.block(
+                [[of_slopes * h, of_residual[:, None] * j], [UNIT * g / of_x, np.zeros((len(off), len(off)))]]
+            )
+            ahead, behind = (self._errors(x, many, u, journey.at(t + d))[:2] for d in (STEP, -STEP))
+            changes = [np.asarray(a - b).ravel() / (2.0 * STEP) for a, b in zip(ahead, behind, strict=True)]
+            return force, slopes, np.concatenate([of_residual * changes[0], UNIT * changes[1]])
+
+        return way
+
+    # Where the way starts --------------------------------------------------------------------------------------------
+
+    def _pose(self, y: Array, u: Array) -> tuple[Array, Rotation]:
+        n = self.scene.n_strains
+        state = np.concatenate([self._search.strains(self.whitened.unknowns(y[:n])), np.zeros(n), u])
+        fields = self.scene.fields(state, [self.scene.rod.length])[0]
+        return fields[:3], Rotation.from_matrix(fields[3:12].reshape(3, 3))
+
+    def _held(self, y: Array, u: Array) -> tuple[Array, float]:
+        """Unknowns at the strains ``y`` with the multipliers that hold them best, and the force that is left."""
+        n, place, frame = len(y), *self._pose(y, u)
+        whole = np.concatenate([y, np.zeros(len(self._axes) + len(self._turns))])
+        force, stiffness, _ = self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))(whole, 0.0)
+        whole[n:] = np.linalg.lstsq(stiffness[:n, n:], force[:n], rcond=1e-9)[0]
+        return whole, float(np.abs(force[:n] - stiffness[:n, n:] @ whole[n:]).max())
+
+    def _movable(self, y: Array, u: Array) -> bool:
+        """Whether small deformations move the tip in every direction: that of a straight rod cannot go along it."""
+        n, place, frame = self.scene.n_strains, *self._pose(y, u)
+        stiffness = self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))(y, 0.0)[1]
+        values = np.linalg.svd(stiffness[n:, :n], compute_uv=False)
+        return bool(values[-1] > MOVABLE * values[0])
+
+    def _bent(self, y: Array, u: Array, goal: Array) -> Array:
+        """``y`` slightly bent: towards a goal beside the rod, for one along it as it buckles."""
+        n, (place, frame) = self.scene.n_strains, self._pose(y, u)
+        length, bent = self.scene.rod.length, y.copy()
+        way = frame.inv().apply(goal - place)
+        size = np.sqrt(FIRST_WAY * float(np.linalg.norm(way)) / length)
+        beside = way[:2] / max(float(np.linalg.norm(way)), 1e-300)
+        if np.linalg.norm(beside) > 0.1 and not self._turns:
+            free = self.scene.rod.strain_set.free
+            node = [{0: -beside[1], 1: beside[0]}.get(component, 0.0) for component in free]
+            taper = 1.0 - self.scene.rule.nodes / length
+            bent[:n] += min(FIRST_BEND, size) * self.whitened.of(np.outer(taper, node).ravel())
+            return bent
+        pressed = y.copy()
+        pressed[n : n + len(self._axes)] -= frame.apply([0.0, 0.0, 1.0])[self._axes] / UNIT
+        still = self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))
+        free_of, under = still(y, 0.0)[1], still(pressed, 0.0)[1]
+        basis = self.judge.basis(free_of)
+        loss = (free_of - under)[:n, :n]
+        vectors = eigh(*(basis.T @ (0.5 * (k + k.T)) @ basis for k in (loss, free_of[:n, :n])))[1]
+        mode = basis @ vectors[:, -1]
+        shortening = float(mode @ loss @ mode) / 2.0
+        bent[:n] += min(FIRST_BEND, size / np.sqrt(max(shortening, 1e-12))) * mode
+        return bent
+
+    # Solving ---------------------------------------------------------------------------------------------------------
+
+    def solve(
+        self, u: Array, position: ArrayLike, rotation: ArrayLike | None, turns: float, start: Array, rests: bool
+    ) -> FixedTipEquilibrium:
+        """Equilibrium under inputs ``u`` (n_inputs,) reached by moving the tip.
 
         Args:
             u: inputs.
             position: of the tip (3,) in m.
             rotation: of a clamped tip (3, 3), None for a pinned one.
-            free: state (n_states,) of the equilibrium without the constraint.
+            turns: by which a clamped tip is twisted about its axis, beyond ``rotation``.
+            start: state (n_states,) to start from.
+            rests: whether it is meant to be an equilibrium, else a guess.
 
         Raises ValueError for a rotation that is none.
         """
-        scene = self.scene
-        n = scene.n_strains
-        goal = finite_array(position, "position", (3,))
-        here, frame = scene.fields(free, [scene.rod.length])[0, :3], scene.fields(free, [scene.rod.length])[0, 3:12]
-        start = Rotation.from_matrix(frame.reshape(3, 3))
-        turn = np.zeros(3)
-        if rotation is not None:
-            wanted = finite_array(rotation, "rotation", (3, 3))
-            if np.abs(wanted @ wanted.T - np.eye(3)).max() > 1e-6 or np.linalg.det(wanted) < 0.0:
-                raise ValueError("rotation is not a rotation matrix; give R with R R^T = I and det R = 1")
-            turn = (start.inv() * Rotation.from_matrix(wanted)).as_rotvec()
+        n, goal = self.scene.n_strains, finite_array(position, "position", (3,))
+        wanted = None if rotation is None else checked_rotation(rotation)
+        y, left = self._held(self.whitened.of(self._search.scaled(start[:n])), u)
+        events: list[Event] = []
+        if left > RESTING and not rests:
+            return self._near(y, u, Journey(goal, goal, wanted or self._pose(y, u)[1], np.zeros(3), turns))
+        if not self._movable(y, u):
+            y = self._bent(y, u, goal)
+            place, frame = self._pose(y, u)
+            y, settled = descend(self.way(u, Journey(place, place, frame, np.zeros(3), 0.0)), y, 0.0, self.judge)
+            events.append(Event(0.0, "bifurcation", settled))
+        place, frame = self._pose(y, u)
+        turn = np.zeros(3) if wanted is None else (frame.inv() * wanted).as_rotvec()
+        journey = Journey(place, goal, frame, turn, turns)
+        if events and not events[0].at_rest:
+            return self._found(Walk(y, 0.0, False, tuple(events)), u, journey)
+        found = walk(self.way(u, journey), y, self.judge)
+        return self._found(Walk(found.y, found.t, found.success, (*events, *found.events)), u, journey)
 
-        def parameters(t: float) -> Array:
-            now = (start * Rotation.from_rotvec(t * turn)).as_matrix()
-            return np.concatenate([u, here + t * (goal - here), now.ravel(order="F")])
-
-        def at(t: float, guess: Array) -> Array | None:
+    def _near(self, y: Array, u: Array, journey: Journey) -> FixedTipEquilibrium:
+        """The equilibrium near a guess, by Newton's method."""
+        way, last = self.way(u, journey), np.inf
+        for _ in range(60):
+            force, stiffness, _ = way(y, 1.0)
+            worst = float(np.abs(force).max())
+            if not np.isfinite(worst) or (worst < 1e-12 or (worst < 1e-9 and worst >= last)):
+                break
             try:
-                x = np.asarray(self._solver(guess, parameters(t))).ravel()
-            except RuntimeError:
-                return None
-            return x if np.all(np.isfinite(x)) else None
+                step: Array = np.asarray(np.linalg.solve(stiffness, force), dtype=np.float64)
+            except np.linalg.LinAlgError:
+                break
+            y, last = y + min(1.0, 1.0 / max(self.judge.size(step), 1e-300)) * step, worst
+        stable = self.judge.stable(way(y, 1.0)[1])
+        return self._found(Walk(y, 1.0, stable, ()), u, journey, "given")
 
-        first = np.zeros(n + len(self._axes) + len(self._turns))
-        first[:n] = (free[:n] - scene.rest_coordinates) / scene.nominal_strains
-        x, reached = follow(at, first)
-        if reached == 0.0:  # the tip of a straight inextensible rod cannot start to move along it
-            x, reached = follow(at, first + self._bend(goal - here))
-        residual = float(np.abs(np.asarray(self._errors(x, parameters(1.0)))).max())
-        success = bool(residual <= TOLERANCE)
-        wrench = np.asarray(self._wrench(x[n:], np.ndarray))
-        state = np.concatenate([scene.rest_coordinates + scene.nominal_strains * x[:n], np.zeros(n), u])
-        message = "" if success else f"the tip could be moved {100.0 * reached:.0f} % of the way"
-        return FixedTipEquilibrium(state, wrench[:3], wrench[3:], success, residual, message, scene)
+    def _found(self, walked: Walk, u: Array, journey: Journey, branch: str = "followed") -> FixedTipEquilibrium:
+        n, of_x, y = self.scene.n_strains, self.whitened.sizes[0], walked.y
+        pose = journey.at(1.0)
+        errors = self._errors(y[:n] / of_x, y[n:], u, pose)[:2]
+        residual = max(float(np.abs(np.asarray(e)).max()) for e in errors)
+        met = bool(residual <= TOLERANCE)
+        success = met and walked.success
+        lost = [told(e, "of the way") for e in walked.events]
+        first = walked.events[0].at if walked.events else 1.0
+        where = f"the tip could be moved {100.0 * walked.t:.0f} % of the way"
+        if success:
+            branch = "snapped" if lost else branch
+            message = f"lost stability at {', '.join(lost)}; this is where it rests behind" if lost else ""
+        elif branch == "given":
+            message = "the equilibrium near the guess is unstable; leave guess out" if met else "none near the guess"
+        else:
+            message = f"{where}; lost stability at {', '.join(lost)}" if lost else where
+        wrench = self._wrench(y[n:], pose[3:].reshape(3, 3, order="F"), np.zeros(3), np.zeros(3))
+        state = np.concatenate([self._search.strains(self.whitened.unknowns(y[:n])), np.zeros(n), u])
+        return FixedTipEquilibrium(
+            state,
+            *wrench,
+            success,
+            residual,
+            message,
+            stable=walked.success,
+            branch=branch if success else "unverified",
+            load_factor=first if success or branch == "given" else min(first, walked.t),
+            scene=self.scene,
+        )
+
+
+def checked_rotation(rotation: ArrayLike) -> Rotation:
+    """A rotation matrix (3, 3) as a rotation. Raises ValueError for a matrix ``rotation`` that is none."""
+    wanted = finite_array(rotation, "rotation", (3, 3))
+    if np.abs(wanted @ wanted.T - np.eye(3)).max() > 1e-6 or np.linalg.det(wanted) < 0.0:
+        raise ValueError("rotation is not a rotation matrix; give R with R R^T = I and det R = 1")
+    return Rotation.from_matrix(wanted)

@@ -139,7 +139,7 @@ class Branches(Rebuilt):
         if found.success and self.search.worst(x, u) > POLISHED:  # a walk ends with a force that is small, not zero
             exact = attempt(self.search.newton, x, u)
             x = exact if np.abs(exact - x).max() < SAME else x
-        lost = [_told(e, of_what) for e in found.events]
+        lost = [told(e, of_what) for e in found.events]
         first = found.events[0].at if found.events else 1.0
         if found.success:
             branch = "snapped" if lost else "followed"
@@ -152,6 +152,7 @@ class Branches(Rebuilt):
         return Verdict(x, "unverified", False, min(first, found.t), message)
 
 
-def _told(event: Event, of_what: str) -> str:
+def told(event: Event, of_what: str) -> str:
+    """An ``event`` in words; ``of_what`` its parameter is a part."""
     what = "snap-through" if event.kind == "fold" else "buckling"
     return f"{event.at:.4g} {of_what} ({what})"

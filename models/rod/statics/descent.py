@@ -44,6 +44,18 @@ class Judge:
             return self.stable(now)
         return bool(np.isfinite(now).all()) and definite(now - share * before, slack)
 
+    def size(self, step: Array) -> float:
+        """Length of a ``step`` (n,) of the strains [rad, root mean square]."""
+        return float(np.linalg.norm(step))
+
+    def drag(self, n: int) -> Array:
+        """What resists the motion of each of ``n`` unknowns in a descent, (n,)."""
+        return np.ones(n)
+
+    def uphill(self, force: Array, ahead: Array, step: Array) -> bool:
+        """Whether a ``step`` (n,) between the forces ``force`` and ``ahead`` (n,) gains energy."""
+        return self.has_energy and 0.5 * float((force + ahead) @ step) < -1e-9
+
     def softest(self, stiffness: Array) -> tuple[float, Array]:
         """Least eigenvalue, in parts of the elastic stiffness, and its direction (n,) of length 1."""
         if not self.has_energy:
@@ -77,23 +89,22 @@ def descend(way: Way, y: Array, t: float, judge: Judge) -> tuple[Array, bool]:
     have an energy no step goes uphill: its change is the work of the mean force. The ``judge`` tells stable shapes.
     """
     force, stiffness, _ = way(y, t)
-    pace, identity = FIRST_PACE, np.eye(len(y))
+    pace, drag = FIRST_PACE, judge.drag(len(y))
     for _ in range(MOST_STEPS):
         if np.abs(force).max() < AT_REST and judge.stable(stiffness):
             return y, True
-        damped = stiffness + identity / pace
+        damped = stiffness + np.diag(drag / pace)
         if not judge.stable(damped):
             pace *= 0.5
             continue
         step = solved(damped, force)
-        length = float(np.linalg.norm(step))
+        length = judge.size(step)
         if not length <= LONGEST:
             pace *= max(0.2, 0.7 * LONGEST / length) if np.isfinite(length) else 0.2
             continue
         ahead, stiffness_ahead, _ = way(y + step, t)
-        error = float(np.linalg.norm(ahead - step / pace)) / max(length / pace, 1e-300)
-        uphill = judge.has_energy and 0.5 * float((force + ahead) @ step) < -1e-9
-        if not error <= GAINSAID or uphill:
+        error = float(np.linalg.norm(ahead - drag * step / pace)) / max(length / pace, 1e-300)
+        if not error <= GAINSAID or judge.uphill(force, ahead, step):
             if pace < LEAST_PACE:
                 break
             pace *= 0.4

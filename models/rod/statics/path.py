@@ -76,19 +76,19 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
     before: tuple[Array, float] | None = None
     fresh = False
     while t < 1.0:
-        length = float(np.linalg.norm(tangent))
+        length = judge.size(tangent)
         step = min(step, 1.0 - t, LONGEST / length if length > 0.0 else 1.0)
         guess = y + step * tangent
         if before is not None:
             guess = guess + 0.5 * step * step * (tangent - before[0]) / before[1]
         ahead = t + step if 1.0 - t - step > 1e-12 else 1.0
         force, now, rate_ahead = way(guess, ahead)
-        slack = NEUTRAL + float(np.linalg.norm(force)) / max(float(np.linalg.norm(guess)), 0.1)
+        slack = NEUTRAL + float(np.linalg.norm(force)) / max(judge.size(guess), 0.1)
         accepted = judge.kept(now, stiffness, KEPT, slack)
         if accepted:
             correction = solved(_shifted(now), force)
-            allowed = CORRECTION * float(np.linalg.norm(guess - y)) + 1e-9
-            part = float(np.linalg.norm(correction)) / allowed
+            allowed = CORRECTION * judge.size(guess - y) + 1e-9
+            part = judge.size(correction) / allowed
             accepted = part <= 1.0
         if accepted:
             before = tangent, step
@@ -97,7 +97,7 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
             step *= min(3.0, max(1.0, 0.7 / np.sqrt(max(part, 1e-3))))
             continue
         if step < DOUBTFUL and not fresh and snaps:  # the point itself may be off the path
-            y, stiffness, rate = _settled(way, y, t)
+            y, stiffness, rate = _settled(way, y, t, judge)
             tangent, before, fresh = solved(_shifted(stiffness), rate), None, True
         if step > LEAST:
             step *= 0.25 if step > 0.05 else 0.4
@@ -112,7 +112,7 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
         events[-1] = Event(events[-1].at, events[-1].kind, rests)
         if not rests:
             return Walk(y, t, False, tuple(events))
-        y, stiffness, rate = _settled(way, y, t)
+        y, stiffness, rate = _settled(way, y, t, judge)
         tangent, before, fresh, step = solved(_shifted(stiffness), rate), None, True, 0.02
     return _ended(way, y, judge, tuple(events))
 
@@ -125,22 +125,22 @@ def _ended(way: Way, y: Array, judge: Judge, events: tuple[Event, ...]) -> Walk:
             break
         step = solved(_shifted(stiffness, 1e-2 * SHIFT), force)
         if np.abs(force).max() < BALANCED:
-            last = step if np.linalg.norm(step) < SMALL else 0.0  # the last digits, for nothing
+            last = step if judge.size(step) < SMALL else 0.0  # the last digits, for nothing
             return Walk(y + last, 1.0, judge.stable(stiffness), events)
-        if not np.linalg.norm(step) <= 0.3:
+        if not judge.size(step) <= 0.3:
             break
         y = y + step
     return Walk(y, 1.0, False, events)
 
 
-def _settled(way: Way, y: Array, t: float) -> tuple[Array, Array, Array]:
+def _settled(way: Way, y: Array, t: float, judge: Judge) -> tuple[Array, Array, Array]:
     """``y`` nearer to the equilibrium at ``t``, its stiffness and rate."""
     for _ in range(4):
         force, stiffness, rate = way(y, t)
         if np.abs(force).max() < 1e-8:
             break
         step = solved(_shifted(stiffness, 0.1 * SHIFT), force)
-        if not np.linalg.norm(step) < 0.2:
+        if not judge.size(step) < 0.2:
             break
         y = y + step
     return y, stiffness, rate

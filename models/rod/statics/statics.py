@@ -263,39 +263,66 @@ class Statics(Rebuilt):
         """
         return inverse(self, target, limits, start, tolerance)
 
-    def pin_tip(self, position: ArrayLike, u: ArrayLike | None = None) -> FixedTipEquilibrium:
+    def pin_tip(
+        self, position: ArrayLike, u: ArrayLike | None = None, guess: ArrayLike | None = None
+    ) -> FixedTipEquilibrium:
         """Equilibrium with the tip pinned: its position is prescribed, it turns freely.
 
-        The tip is moved there from the free equilibrium on a straight way, so that one branch is followed; a place that
-        cannot be reached is flagged, never raised.
+        The tip is moved there on a straight way in steps under which the rod stays stable; where it ceases to be it
+        buckles or snaps through, and the way goes on from where it rests behind. A straight rod that cannot be
+        compressed buckles at once. A place that cannot be reached is flagged, never raised.
 
         Args:
             position: of the tip (3,) in m, in world axes.
             u: inputs (n_inputs,), zeros when not given.
+            guess: state (n_states,) or strains (n_strains,) from which the tip is moved if a wrench at the tip keeps
+                it at rest (any ``state`` of a fixed tip), else near which the equilibrium is; the free equilibrium
+                when not given.
         """
-        return self._fix_tip(False, position, None, u)
+        return self._fix_tip(False, position, None, u, guess, 0.0)
 
-    def clamp_tip(self, position: ArrayLike, rotation: ArrayLike, u: ArrayLike | None = None) -> FixedTipEquilibrium:
+    def clamp_tip(
+        self,
+        position: ArrayLike,
+        rotation: ArrayLike,
+        u: ArrayLike | None = None,
+        guess: ArrayLike | None = None,
+        turns: float = 0.0,
+    ) -> FixedTipEquilibrium:
         """Equilibrium with the tip clamped: position and rotation are prescribed; reached as in ``pin_tip``.
 
         Args:
             position: of the tip (3,) in m, in world axes.
             rotation: of the tip (3, 3), body axes as columns.
             u: inputs (n_inputs,), zeros when not given.
+            guess: as in ``pin_tip``.
+            turns: by which the tip is twisted about its own axis on the way, beyond ``rotation``.
 
-        Raises ValueError for a matrix that is no rotation.
+        Raises ValueError for a matrix that is no rotation, and for turns of a planar rod.
         """
-        return self._fix_tip(True, position, rotation, u)
+        return self._fix_tip(True, position, rotation, u, guess, turns)
 
     @in_turn()
     def _fix_tip(
-        self, clamped: bool, position: ArrayLike, rotation: ArrayLike | None, u: ArrayLike | None
+        self,
+        clamped: bool,
+        position: ArrayLike,
+        rotation: ArrayLike | None,
+        u: ArrayLike | None,
+        guess: ArrayLike | None,
+        turns: float,
     ) -> FixedTipEquilibrium:
-        free = self.solve(u)
+        scene, twist = self.scene, float(finite_array(turns, "turns", ()))
+        if twist and scene.rod.strain_set.planar:
+            raise ValueError(f"turns = {twist:g} of a planar rod; give a rod that twists, such as strains='kirchhoff'")
+        inputs = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
+        if guess is None:
+            start, rests = self.solve(inputs).state, True
+        else:
+            start, rests = self.search.strains(self._scaled(guess)), False
         if clamped not in self._fixed_tips:
-            self._fixed_tips[clamped] = FixedTip(self.scene, clamped)
-        inputs = free.state[2 * self.scene.n_strains :]
-        return self._fixed_tips[clamped].solve(inputs, position, rotation, free.state)
+            self._fixed_tips[clamped] = FixedTip(self.branches.whitened, clamped)
+        return self._fixed_tips[clamped].solve(inputs, position, rotation, twist, start, rests)
 
     @cached_property
     def _fixed_tips(self) -> dict[bool, FixedTip]:

@@ -34,7 +34,7 @@ class Whitened(Rebuilt):
         self.search = search
 
     @cached_property
-    def _sizes(self) -> tuple[Array, Array, Array]:
+    def sizes(self) -> tuple[Array, Array, Array]:
         """Factors from scaled unknowns to y, from scaled residuals to g, and of the Jacobian."""
         scene = self.search.scene
         rod, rule = scene.rod, scene.rule
@@ -52,12 +52,12 @@ class Whitened(Rebuilt):
 
     def of(self, x: Array) -> Array:
         """y (n,) of scaled unknowns ``x`` (n,)."""
-        y: Array = self._sizes[0] * x
+        y: Array = self.sizes[0] * x
         return y
 
     def unknowns(self, y: Array) -> Array:
         """Scaled unknowns (n,) of ``y`` (n,)."""
-        x: Array = y / self._sizes[0]
+        x: Array = y / self.sizes[0]
         return x
 
     @cached_property
@@ -84,7 +84,7 @@ class Whitened(Rebuilt):
 
     def demand(self, y: Array, u: Array) -> tuple[Array, Array]:
         """f (n,) and F (n, n) at ``y`` (n,) under inputs ``u`` (n_inputs,)."""
-        of_x, of_residual, of_slopes = self._sizes
+        of_x, of_residual, of_slopes = self.sizes
         (_, call), x, inputs, residual, slopes = self._buffered
         np.divide(y, of_x, out=x)
         inputs[:] = u
@@ -93,7 +93,7 @@ class Whitened(Rebuilt):
 
     def input_slopes(self, y: Array, u: Array) -> Array:
         """df/du (n, n_inputs) of ``y`` (n,) under inputs ``u`` (n_inputs,)."""
-        slopes: Array = self._sizes[1][:, None] * np.asarray(self.search.slopes(y / self._sizes[0], u)[1])
+        slopes: Array = self.sizes[1][:, None] * np.asarray(self.search.slopes(y / self.sizes[0], u)[1])
         return slopes
 
     def stiffness(self, y: Array, u: Array) -> Array:
