@@ -1,5 +1,10 @@
-"""The tendon-driven arm: its scene, table of equilibria, known physics, recordings and phase samples made with it."""
+"""Tendon-driven arms of one section or several: scenes, recordings and phase samples made with them.
 
+Of one section also the table of its equilibria, the known physics and models of a twin.
+"""
+
+from pisplit.models.arm.base import Arm
+from pisplit.models.arm.multi_section_arm import MultiSectionArm
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.recording import (
     deviations_from_equilibrium,
@@ -12,8 +17,10 @@ from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.arm.twin import twin_alone, twin_dictionaries, twin_dictionary
 
 __all__ = [
+    "Arm",
     "ArmPhysics",
     "EquilibriumTable",
+    "MultiSectionArm",
     "OutsideTable",
     "TendonArm",
     "deviations_from_equilibrium",

@@ -1,4 +1,4 @@
-"""Data of a tendon arm: trajectories (D1) and phase-space samples of its passive part (D2)."""
+"""Data of an arm with tendons: trajectories (D1) and phase-space samples of its passive part (D2)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import numpy as np
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array, count, finite_array, non_negative, one_of, positive
 from pisplit.models import rod
+from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
-from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod.analysis.fields import UNITS, Fields
 
 #: Steps between two random targets of the displacements. On the paper's arm at dt = 0.03 s, 16 makes the motion about
@@ -33,7 +33,7 @@ LAWS = ("zero-sum", "independent")
 EQUATIONS = 3
 
 
-def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
+def random_displacements(arm: Arm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
     """Smooth random displacements (steps, m) in m between random targets of ``law`` (:func:`random_targets`).
 
     A new target every 16 steps, a raised cosine in between. It starts with the arm at rest.
@@ -51,7 +51,7 @@ def random_displacements(arm: TendonArm, steps: int, rng: np.random.Generator, l
     return moves
 
 
-def random_targets(arm: TendonArm, n: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
+def random_targets(arm: Arm, n: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
     """``n`` random displacements (n, m) in m.
 
     "zero-sum": ``arm.rest_inputs`` plus :func:`random_differential`; "independent": each tendon uniformly between
@@ -65,14 +65,16 @@ def random_targets(arm: TendonArm, n: int, rng: np.random.Generator, law: str = 
     return moves
 
 
-def random_differential(arm: TendonArm, n: int, rng: np.random.Generator) -> Array:
-    """``n`` random zero-sum displacements (n, m) in m, even over the disc of radius ``arm.amplitude``.
+def random_differential(arm: Arm, n: int, rng: np.random.Generator) -> Array:
+    """``n`` random zero-sum displacements (n, m) in m that bend every section, even over the disc of ``arm.amplitude``.
 
     ``rng`` draws.
     """
-    radius = arm.amplitude * np.sqrt(rng.uniform(size=(n, 1)))
-    direction = rng.uniform(-np.pi, np.pi, size=(n, 1))
-    moves: Array = radius * np.cos(arm.tendon_angles[None, :] - direction)
+    moves: Array = np.zeros((n, arm.scene.n_inputs))
+    for share in arm.shares.T:
+        radius = arm.amplitude * np.sqrt(rng.uniform(size=(n, 1)))
+        direction = rng.uniform(-np.pi, np.pi, size=(n, 1))
+        moves += share * (radius * np.cos(arm.tendon_angles[None, :] - direction))
     return moves
 
 
@@ -98,7 +100,7 @@ class EpisodeTask:
     Its attributes are arguments of ``make_episodes``: arm, steps, dt, rtol, stations, seed, law, compiled, backlash.
     """
 
-    arm: TendonArm
+    arm: Arm
     steps: int
     dt: float
     rtol: float
@@ -126,7 +128,7 @@ class EpisodeTask:
 
 
 def make_episodes(
-    arm: TendonArm,
+    arm: Arm,
     path: str | os.PathLike[str],
     episodes: int,
     steps: int = 200,
@@ -187,7 +189,7 @@ def make_episodes(
 
 
 def episodes_origin(
-    arm: TendonArm,
+    arm: Arm,
     steps: int = 200,
     dt: float = 0.03,
     rtol: float = 1e-4,
@@ -211,7 +213,7 @@ def episodes_origin(
 
 
 def phase_origin(
-    arm: TendonArm,
+    arm: Arm,
     rates: Array,
     stations: int = 6,
     seed: int = 0,
@@ -269,7 +271,7 @@ class PhaseTask:
     shape_factor (n, n) (roots of the covariances of rates and of deviations), stations, seed, law, known, dt, compiled.
     """
 
-    arm: TendonArm
+    arm: Arm
     samples: int
     rate_factor: Array
     shape_factor: Array | None
@@ -307,7 +309,7 @@ class PhaseTask:
 
 
 def make_phase_samples(
-    arm: TendonArm,
+    arm: Arm,
     path: str | os.PathLike[str],
     samples: int,
     rates: Array,
@@ -377,7 +379,7 @@ def make_phase_samples(
     return result
 
 
-def deviations_from_equilibrium(arm: TendonArm, episodes: Episodes) -> tuple[Array, Array]:
+def deviations_from_equilibrium(arm: Arm, episodes: Episodes) -> tuple[Array, Array]:
     """Strains minus those at rest under the inputs of the moment, and strain rates, each (N, n_strains), of simulated
     episodes.
 
@@ -390,14 +392,14 @@ def deviations_from_equilibrium(arm: TendonArm, episodes: Episodes) -> tuple[Arr
     return states[kept, :n] - rest.states[kept, :n], states[:, n : 2 * n]
 
 
-def strain_rates(arm: TendonArm, episodes: Episodes) -> Array:
+def strain_rates(arm: Arm, episodes: Episodes) -> Array:
     """Strain rates (N, n_strains) of simulated episodes. ``arm`` is the one that moved in ``episodes``."""
     n = arm.scene.n_strains
     rates: Array = _simulated_states(arm, episodes)[:, n : 2 * n]
     return rates
 
 
-def _simulated_states(arm: TendonArm, episodes: Episodes) -> Array:
+def _simulated_states(arm: Arm, episodes: Episodes) -> Array:
     extra = episodes.extra or {}
     if "state" not in extra:
         raise ValueError("the episodes hold no states of a simulator (extra['state']); make them with make_episodes")
@@ -415,7 +417,7 @@ def _gaussian_factor(given: Array, name: str, n: int) -> Array:
     return factor
 
 
-def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:
+def _labels(arm: Arm, found: Fields) -> dict[str, Any]:
     return {
         "state_names": found.names,
         "quantities": found.quantities,
@@ -425,7 +427,7 @@ def _labels(arm: TendonArm, found: Fields) -> dict[str, Any]:
     }
 
 
-def _arm_origin(arm: TendonArm, kind: str, stations: int, seed: int, law: str) -> dict[str, Any]:
+def _arm_origin(arm: Arm, kind: str, stations: int, seed: int, law: str) -> dict[str, Any]:
     return {
         "kind": kind,
         "equations": EQUATIONS,
@@ -449,13 +451,13 @@ def _digest(samples: Array) -> str:
 
 
 @lru_cache(maxsize=2)
-def _simulator(arm: TendonArm, dt: float, rtol: float, stations: int, compiled: bool) -> Any:
+def _simulator(arm: Arm, dt: float, rtol: float, stations: int, compiled: bool) -> Any:
     scene = arm.scene.compile(stations) if compiled else arm.scene
     return scene.simulator(dt=dt, rtol=rtol, stations=stations)
 
 
 @lru_cache(maxsize=2)
-def _known_derivative(arm: TendonArm, known: rod.Scene, stations: int) -> tuple[Any, ca.Function]:
+def _known_derivative(arm: Arm, known: rod.Scene, stations: int) -> tuple[Any, ca.Function]:
     """Statics of the arm, and ``state -> (fields, time derivative of the fields under the known part)``."""
     scene = arm.scene
     n = scene.n_strains

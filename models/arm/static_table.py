@@ -174,8 +174,9 @@ def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, poin
         stations: number of stations whose positions are in the table.
         points: grid points along each axis, at least 8.
 
-    Raises RuntimeError where the statics have no solution on the grid.
+    Raises ValueError for an arm of several sections, RuntimeError where the statics have no solution on the grid.
     """
+    arm.check_one_section("equilibrium_table")
     positive(half_width, "half_width", "m")
     count(points, "points", 8)
     basis = arm.differential_basis

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from pisplit.checks import Array, finite_number, non_negative
 from pisplit.models import rod
+from pisplit.models.arm.base import Arm, paper_scene
 from pisplit.models.rod.terms.pull import TendonTerm
 
 
 @dataclass(frozen=True)
-class TendonArm:
+class TendonArm(Arm):
     """An elastic backbone with one group of tendons that are pulled by displacements.
 
     Raises ValueError where the scene has no tendons, several groups of them, or other inputs, or where pretension or
@@ -20,24 +18,16 @@ class TendonArm:
 
     Attributes:
         scene: backbone, environment and tendons: the arm itself.
-        passive: the same without tendons: the known part f.
         pretension: common displacement in m of all tendons at rest; it keeps them taut.
         amplitude: usual size in m of differential displacements.
     """
 
-    scene: rod.Scene
-    pretension: float
-    amplitude: float
-
     def __post_init__(self) -> None:
-        groups = sum(isinstance(t, TendonTerm) for t in self.scene.terms)
-        if groups != 1:
-            raise ValueError(f"TendonArm has {groups} groups of tendons; expected one, such as rod.Tendons")
-        if len(self.scene.inputs) != 1:
-            names = ", ".join(i.name for i in self.scene.inputs)
-            raise ValueError(f"TendonArm has the inputs {names}; expected those of its tendons alone")
-        finite_number(self.pretension, "TendonArm pretension")
-        non_negative(self.amplitude, "TendonArm amplitude", "m")
+        if isinstance(self.scene, rod.Scene) and self.n_sections > 1:
+            raise ValueError(
+                f"TendonArm has {self.n_sections} groups of tendons; expected one; MultiSectionArm takes several"
+            )
+        super().__post_init__()
 
     @classmethod
     def paper(cls, nodes: int = 5) -> TendonArm:
@@ -51,18 +41,7 @@ class TendonArm:
 
         ``nodes`` is the number of Gauss nodes.
         """
-        length, radius = 0.7144, 0.675e-3
-        section = rod.Circle(radius)
-        material = rod.Elastic(young=207e9, shear=207e9 / 2.6, density=0.034 / (length * section.area))
-        scene = rod.Scene(
-            rod.Rod(length=length, section=section, material=material, strains="kirchhoff"),
-            rod.Gravity((-9.81, 0.0, 0.0)),
-            rod.KelvinVoigt(bending=5e-4, torsion=5e-4),
-            rod.QuadraticDrag(1e-4),
-            rod.Tendons.parallel(offset=15.06e-3, angles_deg=(0, 120, 240), drive=rod.Displacement(compliance=1e-4)),
-            nodes=nodes,
-        )
-        return cls(scene, pretension=1e-3, amplitude=10e-3)
+        return cls(paper_scene(nodes=nodes), pretension=1e-3, amplitude=10e-3)
 
     @classmethod
     def prototype(cls, nodes: int = 5) -> TendonArm:
@@ -88,27 +67,6 @@ class TendonArm:
         return cls(scene, pretension=0.0, amplitude=12e-3)
 
     @property
-    def passive(self) -> rod.Scene:
-        """The arm without its tendons."""
-        return self.scene.without(TendonTerm)
-
-    @property
     def tendons(self) -> TendonTerm:
         """Its tendons, as drawn (``rod.Tendons``) or as identified (``CalibratedTendons``)."""
-        return next(t for t in self.scene.terms if isinstance(t, TendonTerm))
-
-    @property
-    def tendon_angles(self) -> Array:
-        """Angle (m,) of each tendon about the backbone at its base in rad."""
-        return np.arctan2(*self.tendons.points(0.0, self.scene.rod.length).T[::-1])
-
-    @property
-    def differential_basis(self) -> Array:
-        """Orthonormal basis (m, 2) of the displacements that bend the arm: cosine and sine over the tendon angles."""
-        angles = self.tendon_angles
-        return np.linalg.qr(np.stack([np.cos(angles), np.sin(angles)], axis=1))[0]
-
-    @property
-    def rest_inputs(self) -> Array:
-        """Displacements (m,) of the pretensioned arm at rest."""
-        return np.full(self.scene.n_inputs, self.pretension)
+        return self.groups[0]

@@ -64,6 +64,7 @@ def nominal_parameters(arm: TendonArm) -> TendonParameters:
     Those of a calibrated arm are what was identified. Raises ValueError for tendons that are not parallel or not pulled
     by displacements.
     """
+    arm.check_one_section("calibration")
     tendons = arm.tendons
     if isinstance(tendons, CalibratedTendons):
         return tendons.parameters
@@ -98,6 +99,7 @@ class ParametrisedArm:
         if unknown or not free:
             raise ValueError(f"free = {list(free)}; expected some of {', '.join(GROUPS)}")
         first = nominal_parameters(arm) if start is None else start
+        arm.check_one_section("calibration")
         self.arm, self.m = arm, first.n_tendons
         if self.m != arm.scene.n_inputs:
             raise ValueError(f"start has {self.m} tendons; the arm has {arm.scene.n_inputs} inputs")

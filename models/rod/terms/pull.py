@@ -56,6 +56,8 @@ class TendonTerm(ABC):
     """A term that pulls tendons, one entry of the input ``name`` a tendon: as drawn (``Tendons``), or as identified."""
 
     name: str
+    #: Arclength in m at which they are fixed to the rod, None at the tip.
+    end: float | None = None
 
     @property
     def kept_stiffness(self) -> float:
