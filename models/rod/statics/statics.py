@@ -317,7 +317,8 @@ class Statics(Rebuilt):
             raise ValueError(f"turns = {twist:g} of a planar rod; give a rod that twists, such as strains='kirchhoff'")
         inputs = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         if guess is None:
-            start, rests = self.solve(inputs).state, True
+            free = self.solve(inputs)
+            start, rests = free.state, free.success
         else:
             start, rests = self.search.strains(self._scaled(guess)), False
         if clamped not in self._fixed_tips:
