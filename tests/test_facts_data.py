@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from pisplit import Episodes
+from pisplit import Episodes, PhaseSamples
 from pisplit.data.clock import _check_increasing, seconds
 from pisplit.data.episode_checks import _misfit
+from pisplit.data.input_subspace import excited_directions
 from pisplit.data.recordings import _jitter, _step
 from pisplit.data.resampling import Signal, _both, pieces
 from pisplit.data.store import _release
@@ -46,6 +47,7 @@ def test_units_are_their_prefix_times_their_base(unit: str) -> None:
         ((1, 2), (0, 1), "at least two"),
         ((11, 2), (7, 1), "us[4] has 7 rows for 11 states; expected 10 (one a step)"),
         ((11, 12), (0, 11), "us[4] has 0 rows for 11 states"),
+        ((5, 5), (3, 4), "give u.T"),
     ],
 )
 def test_a_misfit_names_its_remedy(x: tuple[int, int], u: tuple[int, int], said: str) -> None:
@@ -264,3 +266,58 @@ def test_one_array_is_no_list_of_episodes(array: str) -> None:
 def test_a_clock_that_falls_is_shown_where_it_falls() -> None:
     with pytest.raises(ValueError, match=r"after sample 2 \(3 s, then 2.5 s\)"):
         _check_increasing(np.array([1.0, 2.0, 3.0, 2.5, 4.0, 5.0]), np.arange(6), "")
+
+
+def test_an_integer_of_numpy_takes_an_episode() -> None:
+    data = Episodes([np.full((3, 1), float(i)) for i in range(3)], [np.zeros((2, 1))] * 3, 0.1)
+    assert data[np.int64(2)].xs[0][0, 0] == 2.0
+
+
+def test_neighbours_share_the_memory_of_all_episodes_from_the_first_on() -> None:
+    data = Episodes([np.full((3, 1), float(i)) for i in range(3)], [np.zeros((2, 1))] * 3, 0.1)
+    assert np.shares_memory(data.subset([0, 1]).xs[0], data.xs[0])
+    assert not np.shares_memory(data.subset([1, 0]).xs[0], data.xs[1])
+
+
+def test_phase_samples_keep_their_names(tmp_path: Path) -> None:
+    names = {"state_names": ("a", "b"), "input_names": ("p",)}
+    PhaseSamples(x=np.ones((3, 2)), u=np.ones((3, 1)), xdot=np.ones((3, 2)), **names).save(tmp_path / "d2.h5")
+    again = PhaseSamples.load(tmp_path / "d2.h5")
+    assert (again.state_names, again.input_names) == (("a", "b"), ("p",))
+
+
+def test_provenance_counts_the_samples_that_are_in_no_episode_and_names_runs_that_were_told() -> None:
+    t = np.concatenate([np.arange(50) * 0.1, [100.0]])
+    x, u = np.sin(t)[:, None], np.zeros((51, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plain = Episodes.from_arrays(t, x, u, dt=0.1)
+        told = Episodes.from_arrays(
+            np.tile(t[:50], 2), np.tile(x[:50], (2, 1)), np.zeros((100, 1)), dt=0.1, episode=np.repeat([7, 9], 50)
+        )
+    assert plain.provenance["lost_samples"] == 1 and "runs" not in plain.provenance
+    assert [int(float(label)) for label in told.provenance["runs"]] == [7, 9]
+
+
+@pytest.mark.parametrize("unit", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("slow", [1, 10])
+def test_a_slow_signal_is_told_by_its_ratio_to_the_step(unit: float, slow: int) -> None:
+    t = unit * np.arange(200)
+    fast, other = Signal(np.array([0]), t, t[:, None]), Signal(np.array([1]), t[::slow], t[::slow, None])
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        _step(unit, [[fast, other]], ["a", "b"])
+    assert len(said) == (slow > 1)
+
+
+def test_the_command_that_comes_late_is_named() -> None:
+    t = 0.1 * np.arange(40)
+    u = np.ones((40, 2))
+    u[:15, 1] = np.nan
+    with pytest.warns(UserWarning, match="u2 has no command before sample 15"):
+        Episodes.from_arrays(t, np.sin(t)[:, None], u, dt=0.1, input_names=("u1", "u2"))
+
+
+def test_small_inputs_are_excited_like_large_ones() -> None:
+    inputs = np.random.default_rng(0).normal(size=(50, 2))
+    assert excited_directions(1e-9 * inputs)[1].shape == excited_directions(1e3 * inputs)[1].shape == (2, 2)

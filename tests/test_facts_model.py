@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit import Episodes, LiftedModel, modes
-from pisplit.lifted.formats import state_space_matrices
+from pisplit import Dictionary, Episodes, LiftedModel, PhaseSamples, modes
+from pisplit import observables as ob
+from pisplit.generator import half_step
+from pisplit.lifted.formats import _labels, state_space_matrices
 from pisplit.lifted.operators import excited_inputs
 
 
@@ -94,3 +98,34 @@ def test_inputs_that_vary_by_rounding_are_not_excited(varied: bool) -> None:
     assert mean == pytest.approx(1e3 / 3.0, rel=1e-2) and basis.shape == (2, int(varied))
     if varied:
         assert np.abs(basis[:, 0]) == pytest.approx([0.0, 1.0], abs=1e-9)
+
+
+def test_features_that_saturate_are_not_the_inputs() -> None:
+    """Inputs up to ten pass unchanged: only a large probe tells."""
+    plain = model(0.5 * np.eye(2))
+    u = ca.SX.sym("u")
+    clipped = replace(plain, input_function=ca.Function("phi", [u], [ca.fmin(ca.fmax(u, -10.0), 10.0)]))
+    assert plain.linear_in_u and not clipped.linear_in_u
+
+
+def test_outputs_are_c_z_and_d_also_where_c_nearly_takes_states() -> None:
+    z = np.array([0.3, -0.2])
+    for c, d in ((np.eye(2), [0.0, 0.0]), (np.eye(2), [0.5, 0.0]), (np.array([[1.0, 0.0], [1.0, 1.0]]), [0.0, 0.0])):
+        made = replace(model(0.5 * np.eye(2), d=np.array(d)), C=c)
+        assert made.predict(z, np.zeros((0, 1)), np.zeros((1, 1))).x[1] == pytest.approx(c @ (0.5 * z) + d)
+
+
+def test_labels_that_collide_count_upwards() -> None:
+    assert _labels(["x[k-1]", "x(k-1)", "x{k-1}", "y"], {}) == [
+        "x_k_minus_1",
+        "x_k_minus_1_2",
+        "x_k_minus_1_3",
+        "y",
+    ]
+
+
+def test_phase_samples_of_another_system_are_refused_by_the_generator() -> None:
+    theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
+    samples = PhaseSamples(x=np.ones((4, 3)), u=np.zeros((4, 1)), xdot=np.ones((4, 3)))
+    with pytest.raises(ValueError, match="phase samples have 3 states and 1 inputs; the dictionary expects 2 and 1"):
+        half_step(theta, samples, 0.5, np.ones(3), "generator")

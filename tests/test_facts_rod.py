@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from pisplit.models import rod
-from pisplit.models.rod.equations.tangent import Stability
+from pisplit.models.rod.equations.tangent import Stability, stability
+from pisplit.models.rod.kinematics.strains import turn_rows
+from pisplit.models.rod.terms.routing import sample
 
 
 @pytest.mark.parametrize("elements", [(), (0.2, 0.3)])
@@ -65,3 +69,63 @@ def test_a_pose_turns_with_its_base() -> None:
 def test_a_line_is_its_numbers() -> None:
     assert rod.Line([0.01, 0.0], np.array([0.005, 0.0]), 0.5) == rod.Line((0.01, 0.0), (0.005, 0.0), 0.5)  # type: ignore[arg-type]
     assert len({rod.Line([0.01, 0.0], [0.005, 0.0], 0.5), rod.Line((0.01, 0.0), (0.005, 0.0), 0.5)}) == 1  # type: ignore[arg-type]
+
+
+def test_the_skew_part_of_a_tangent_is_weighed_against_the_symmetric_one() -> None:
+    """|K - K^T| / |K + K^T| of the tangent by differences, under a load that follows the rod."""
+    body = rod.Rod(0.5, rod.Circle(0.01), rod.Elastic(1e6, 4e5, 1000.0), strains="planar")
+    scene = rod.Scene(body, rod.TipWrench(force=(-0.05, 0.0, 0.0), follower=True), nodes=4)
+    found = scene.statics().solve().state
+    xi, u, balance = scene.static_balance
+    residual = ca.Function("r", [xi, u], [balance.residual])
+    h, n = 1e-5, scene.n_strains
+    columns = [np.asarray(residual(found[:n] + h * e, []) - residual(found[:n] - h * e, [])).ravel() for e in np.eye(n)]
+    tangent = -np.diag(scene.rule.weights) @ np.array(columns).T / (2.0 * h)
+    skew = float(np.linalg.norm(tangent - tangent.T) / np.linalg.norm(tangent + tangent.T))
+    assert skew > 1e-3 and stability(scene, found).asymmetry == pytest.approx(skew, rel=1e-5)
+
+
+def test_the_order_of_a_turn_is_that_of_the_element_it_lies_in() -> None:
+    body = rod.Rod(0.5, rod.Circle(0.01), rod.Elastic(1e6, 4e5, 1000.0), elements=(0.2, 0.3))
+    rule = rod.Scene(body, nodes=[4, 8]).rule
+    assert len(turn_rows(rule, 0.0, 0.2)) == len(turn_rows(rule, 0.1, 0.2)) == 2
+    assert len(turn_rows(rule, 0.2, 0.5)) == len(turn_rows(rule, 0.2, 0.25)) == len(turn_rows(rule, 0.4, 0.5)) == 3
+
+
+def test_the_slope_of_a_route_is_taken_from_points_on_the_rod() -> None:
+    seen: list[float] = []
+
+    def route(s: float) -> Sequence[float]:
+        seen.append(s)
+        return 0.01 * np.cos(s), 0.01 * np.sin(s)
+
+    points = np.array([0.0, 1e-5, 0.25, 0.5 - 1e-5, 0.5])
+    _, slope = sample(route, points, 0.5)
+    assert min(seen) >= 0.0 and max(seen) <= 0.5
+    assert slope[0] == pytest.approx(-0.01 * np.sin(points), abs=1e-9)
+    assert slope[1] == pytest.approx(0.01 * np.cos(points), abs=1e-9)
+
+
+def test_a_tendon_that_is_barely_out_of_the_plane_is_refused_in_it() -> None:
+    body = rod.Rod(0.5, rod.Circle(0.01), rod.Elastic(1e6, 4e5, 1000.0), strains="planar")
+    with pytest.raises(ValueError, match="plane"):
+        rod.Scene(body, rod.Tendons([(5e-3, 1e-9)]), nodes=4).statics().solve([1.0])
+
+
+def test_the_offset_that_is_described_is_that_at_the_base() -> None:
+    body = rod.Rod(0.5, rod.Circle(0.01), rod.Elastic(1e6, 4e5, 1000.0))
+    tendons = rod.Tendons([rod.Line((0.01, 0.0), (0.005, 0.0), 0.5)])
+    assert "offset 10 mm" in tendons.describe(body)
+
+
+def test_friction_of_a_gentle_bend_does_not_depend_on_the_size_of_the_arm() -> None:
+    """A straight tendon held at a turn of 1e-4 rad, where friction is rounded, on rods of 0.1 and of 10 m."""
+    shares = []
+    for scale in (0.1, 10.0):
+        body = rod.Rod(scale, rod.Circle(0.01 * scale), rod.Elastic(1e6, 4e5, 1000.0), strains="planar")
+        scene = rod.Scene(body, rod.Tendons([(5e-3 * scale, 0.0)], friction=5.0), nodes=4)
+        free = rod.Scene(body, rod.Tendons([(5e-3 * scale, 0.0)]), nodes=4)
+        pull = [3e-5 * body.stiffness[0] / scale / (5e-3 * scale)]
+        bent = [s.statics().solve(pull).state[: s.n_strains] for s in (scene, free)]
+        shares.append(bent[0] / bent[1])
+    assert shares[0] == pytest.approx(shares[1], rel=1e-9) and shares[0].min() < 1.0 - 1e-6

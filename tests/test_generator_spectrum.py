@@ -16,6 +16,8 @@ from pisplit.generator import (
     half_step,
     weighted_moments,
 )
+from pisplit.generator.generator import PLAIN
+from pisplit.generator.half_step import _condition
 from pisplit.generator.spectrum import spectrum
 from pisplit.models import systems
 from pisplit.regression.moments import accumulate
@@ -217,3 +219,19 @@ def test_a_fitted_split_says_what_was_spurious_and_what_was_chosen() -> None:
 def test_a_bilinear_dictionary_has_no_half_step() -> None:
     with pytest.raises(ValueError, match="linear in Theta"):
         generator_spectrum(closed().bilinear(), slow_manifold())
+
+
+def test_samples_that_move_by_less_than_a_millionth_of_a_scale_in_half_a_step_rest() -> None:
+    """f = -v on a column of scale one: half a step of 1 s moves it by v / 2."""
+    theta = Dictionary(ob.Identity(), n_states=1, n_inputs=1)
+    for speed, rests in ((1.5e-6, True), (2.5e-6, False)):
+        x = np.full((3, 1), 0.4)
+        samples = PhaseSamples(x, 0 * x, np.full((3, 1), -speed))
+        assert (equilibrium_drift(theta, samples, 1.0, np.ones(2), np.eye(2)) is not None) == rests
+
+
+def test_the_condition_of_a_half_step_that_loses_a_column_is_infinite_without_a_division() -> None:
+    theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
+    with np.errstate(all="raise"):
+        assert _condition(theta, np.diag([1.0, 0.0, 1.0]), PLAIN) == np.inf
+        assert _condition(theta, np.diag([1.0, 0.5, 1.0]), PLAIN) == pytest.approx(2.0)

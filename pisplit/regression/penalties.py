@@ -11,8 +11,6 @@ from pisplit.regression.least_squares import ridge
 from pisplit.regression.multi_target import Array, Regression
 
 PENALTIES = ("ridge", "lasso")
-#: What a weight may be relative to: the data (True), nothing (False), the number of samples.
-RELATIVE = (True, False, "samples")
 
 
 def check_penalty(penalty: str, solver: str, relative: bool | str) -> None:
