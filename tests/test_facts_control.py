@@ -60,3 +60,14 @@ def test_multipliers_of_a_problem_that_was_not_solved_do_not_start_the_next() ->
     assert qp._y[0] == pytest.approx(2.0, abs=1e-2)
     assert qp.solve(np.array([0.0]), np.array([1.0, -5.0]), np.array([5.0, -1.0])).x is None
     assert qp._y.tolist() == [0.0, 0.0] and qp._x.tolist() == [0.0]
+
+
+@pytest.mark.parametrize("lost", [slice(0, 1), slice(None)])
+def test_a_prediction_that_is_not_finite_in_any_entry_is_no_problem_to_solve(lost: slice) -> None:
+    lifted = LinearEDMDc(Dictionary(ob.Identity(), n_states=2, n_inputs=1), 0.0).fit(recordings()).lifted
+    problem = MPC(lifted, 5, -1.0, 1.0, 0.5, track=[0])._problem
+    free = np.zeros(5)
+    free[lost] = np.nan
+    still = problem.hold(np.zeros(1))
+    assert problem.solve(free, np.zeros(5), np.zeros(1), still).status == "prediction not finite"
+    assert problem.solve(np.zeros(5), np.zeros(5), np.zeros(1), still).x == pytest.approx(np.zeros(5), abs=1e-4)

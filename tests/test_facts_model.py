@@ -10,7 +10,7 @@ import pytest
 
 from pisplit import Dictionary, Episodes, LiftedModel, PhaseSamples, modes
 from pisplit import observables as ob
-from pisplit.generator import half_step
+from pisplit.generator import generator_edmd, half_step
 from pisplit.lifted.formats import _labels, state_space_matrices
 from pisplit.lifted.operators import excited_inputs
 
@@ -129,3 +129,5 @@ def test_phase_samples_of_another_system_are_refused_by_the_generator() -> None:
     samples = PhaseSamples(x=np.ones((4, 3)), u=np.zeros((4, 1)), xdot=np.ones((4, 3)))
     with pytest.raises(ValueError, match="phase samples have 3 states and 1 inputs; the dictionary expects 2 and 1"):
         half_step(theta, samples, 0.5, np.ones(3), "generator")
+    with pytest.raises(ValueError, match="phase samples have 3 states and 1 inputs; the dictionary expects 2 and 1"):
+        generator_edmd(theta, samples, np.ones(3))
