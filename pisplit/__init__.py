@@ -3,6 +3,7 @@
 from pathlib import Path as _Path
 
 from pisplit import _moved, observables
+from pisplit.data.actuator import Actuator
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
@@ -24,6 +25,7 @@ from pisplit.lifted.sensitivity import input_jacobian, rollout_jacobian
 from pisplit.regression.recursive import RecursiveRegression
 
 __all__ = [
+    "Actuator",
     "BilinearEDMDc",
     "Comparison",
     "Dictionary",

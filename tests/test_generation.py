@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from pisplit import Episodes, PhaseSamples
+from pisplit.data.actuator import Actuator, ActuatorState
 from pisplit.models import rod
 from pisplit.models.arm import recording
 from pisplit.models.arm.recording import (
@@ -389,23 +390,13 @@ def test_rod_coordinates_refuse_what_they_cannot_tell(arm: TendonArm) -> None:
         assert "\n" not in str(error.value)
 
 
-def test_play_follows_when_it_is_used_up_and_remembers_where_it_came_from() -> None:
-    up, down = np.linspace(0.0, 1.0, 101)[:, None], np.linspace(1.0, 0.0, 101)[:, None]
-    moved = recording.play(np.vstack([up, down]), 0.2, np.zeros(1))
-    np.testing.assert_allclose(moved[:101], np.maximum(up - 0.1, 0.0), atol=1e-15)
-    np.testing.assert_allclose(moved[101:], np.minimum(down + 0.1, 0.9), atol=1e-15)
-    np.testing.assert_array_equal(recording.play(up, 0.0, np.zeros(1)), up)
-    # Rate-independent: what lies between two turns does not matter.
-    coarse = recording.play(np.array([[1.0], [0.0]]), 0.2, np.zeros(1))
-    np.testing.assert_allclose(coarse[-1], moved[-1], atol=1e-15)
-
-
 def test_episodes_with_backlash_record_commands_and_move_by_what_is_left(arm: TendonArm, tmp_path: Path) -> None:
     late = make_episodes(arm, tmp_path / "late.h5", 1, STEPS, DT, **SMALL, backlash=1e-3)
     told = make_episodes(arm, tmp_path / "told.h5", 1, STEPS, DT, **SMALL)
     np.testing.assert_array_equal(late.us[0], told.us[0])
     servo = late.extra["state"][0][1:, -3:]
-    np.testing.assert_allclose(servo, recording.play(told.us[0], 1e-3, arm.rest_inputs), atol=1e-12)
+    moved, _ = Actuator(play=1e-3).simulate(told.us[0], DT, ActuatorState.at(arm.rest_inputs))
+    np.testing.assert_allclose(servo, moved, atol=1e-12)
     assert np.abs(late.xs[0] - told.xs[0]).max() > 1e-3
     origin = recording.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1)
     with pytest.raises(ValueError, match=r"backlash = 0\.001, not 0\.0"):

@@ -16,6 +16,7 @@ import numpy as np
 
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array, count, finite_array, non_negative, one_of, positive
+from pisplit.data.actuator import Actuator, ActuatorState
 from pisplit.models import rod
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
@@ -78,21 +79,6 @@ def random_differential(arm: Arm, n: int, rng: np.random.Generator) -> Array:
     return moves
 
 
-def play(commands: Array, width: float, start: Array) -> Array:
-    """What a transmission with backlash makes of displacements (N, m): it follows when the play ``width`` is used up.
-
-    y_k = min(max(y_{k-1}, u_k - width / 2), u_k + width / 2) from y = ``start`` (m,); rate-independent hysteresis.
-    Source: Visintin, *Differential Models of Hysteresis*, Springer 1994, ch. III.
-
-    ``commands`` are the displacements.
-    """
-    moved, last = np.empty_like(commands), start
-    for k, command in enumerate(commands):
-        last = np.clip(last, command - 0.5 * width, command + 0.5 * width)
-        moved[k] = last
-    return moved
-
-
 @dataclass(frozen=True)
 class EpisodeTask:
     """One episode from rest: the work of one block of D1. Draws whose simulation fails are recorded and replaced.
@@ -118,13 +104,17 @@ class EpisodeTask:
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, k, attempt)))
             commands = random_displacements(self.arm, self.steps, rng, self.law)
             simulator.reset(self.arm.rest_inputs)
-            moves = play(commands, self.backlash, self.arm.rest_inputs) if self.backlash else commands
-            trajectory = simulator.run(moves, simulator.state)
+            trajectory = simulator.run(self._moves(commands), simulator.state)
             if trajectory.success:
                 fields = trajectory.fields(self.stations).reshape(self.steps + 1, -1)
                 return {"x": fields, "u": commands, "state": trajectory.x, "failures": np.array(failures, dtype=str)}
             failures.append(trajectory.message)
         raise RuntimeError(f"episode {k} failed {ATTEMPTS} times, last: {failures[-1]}")
+
+    def _moves(self, commands: Array) -> Array:
+        """What the play leaves of the commands (T, m), from rest."""
+        start = ActuatorState.at(self.arm.rest_inputs)
+        return Actuator(play=self.backlash).simulate(commands, self.dt, start)[0]
 
 
 def make_episodes(

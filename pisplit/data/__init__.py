@@ -3,6 +3,7 @@
 Everything a model learns from comes through here and is checked here; files are HDF5, written whole or not at all.
 """
 
+from pisplit.data.actuator import Actuator, ActuatorState
 from pisplit.data.columns import column_order, unit_factors
 from pisplit.data.episodes import Episodes, SimulatedSystem
 from pisplit.data.pairs import Pairs, Start
@@ -10,6 +11,8 @@ from pisplit.data.phase import KnownSystem, PhaseSamples
 from pisplit.data.units import columns_to_si, to_si
 
 __all__ = [
+    "Actuator",
+    "ActuatorState",
     "Episodes",
     "KnownSystem",
     "Pairs",
