@@ -163,3 +163,12 @@ def test_a_damped_half_step_amplifies_no_noise() -> None:
         warnings.simplefilter("error")
         k_h = unknown_part(context, left, right, accumulate([np.hstack([a, after])]), 1e-3).K
     assert np.abs(k_h).max() < 100.0
+
+
+def test_a_kick_without_a_penalty_is_least_squares_and_its_rank_counts_every_unknown() -> None:
+    """Three rows on five columns: 15 unknowns, determined by full-rank data, whatever the penalty of weight zero."""
+    found = {}
+    for penalty in ("lasso", "ridge"):
+        context, left, right, a, after = problem(penalty, "zero", None, False)
+        found[penalty] = unknown_part(context, left, right, accumulate([np.hstack([a, after])]), 0.0)
+    assert found["lasso"].rank == found["ridge"].rank == 15

@@ -54,7 +54,7 @@ def test_a_motion_that_is_right_says_so_and_warns_of_nothing() -> None:
 
 
 def test_the_estimate_sees_a_grid_that_is_too_coarse() -> None:
-    """The pendulum bends sharply when it swings through: eight nodes are off by 4 % of the travel at any tolerance."""
+    """The pendulum bends sharply when it swings through: six nodes are off by far more than IDAS is."""
     scene, u = dropped(6), np.zeros((24, 0))
     true = dropped(12).simulator(0.02, rtol=1e-7).run(u, np.zeros(24))
     with pytest.warns(rod.Unresolved, match="more nodes than 6"):

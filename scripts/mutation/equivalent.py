@@ -323,12 +323,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "natural = np.abs(along @ k_f.drift).max(axis=1, keepdims=True) if size else np.ones((1, 1))",
         "without learned columns the array that is formed of it has no rows",
     ),
-    Equivalent(
-        "pisplit/splitting/unknown_part.py",
-        "if weight > 0.0:",
-        "if weight >= 0.0:",
-        "a LASSO of weight zero is least squares",
-    ),
 )
 
 
