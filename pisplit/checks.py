@@ -37,8 +37,8 @@ def real_array(value: ArrayLike, name: str) -> Array:
     """
     if type(value) is np.ndarray and value.dtype is FLOAT:
         return value
-    if isinstance(value, list | tuple) and any(isinstance(part, np.ma.MaskedArray) for part in value):
-        value = np.ma.stack(value)  # np.asarray drops their masks
+    if isinstance(value, list | tuple):
+        value = _unmasked(value)
     if hasattr(type(value), "to_base_units") or hasattr(type(value), "to_value"):  # pint, astropy
         raise ValueError(f"{name} carries a unit, which would be lost; give its numbers, and the unit by name")
     try:
@@ -53,6 +53,15 @@ def real_array(value: ArrayLike, name: str) -> Array:
     if isinstance(value, np.ma.MaskedArray):
         found[np.ma.getmaskarray(value)] = np.nan
     return found
+
+
+def _unmasked(value: Any) -> Any:
+    """Lists ``value``, however deep, with NaN for what is masked in arrays they hold: np.asarray drops their masks."""
+    if isinstance(value, np.ma.MaskedArray):
+        return real_array(value, "") if value.dtype.kind in "fiub" else value
+    if isinstance(value, list | tuple) and any(isinstance(part, list | tuple | np.ma.MaskedArray) for part in value):
+        return [_unmasked(part) for part in value]
+    return value
 
 
 def finite_array(value: ArrayLike, name: str, shape: Sequence[int | None]) -> Array:
@@ -118,8 +127,8 @@ def non_negative(value: Any, name: str, unit: str = "") -> float:
 def finite_number(value: Any, name: str) -> float:
     """``value``, a real number and no text, as a finite float; errors call it ``name``."""
     try:
-        # float() reads "1_0" as 10, durations as their ticks.
-        if isinstance(value, str | bytes | np.datetime64 | np.timedelta64) or value is np.ma.masked:
+        # float() reads "1_0" as 10, durations as their ticks, and drops imaginary parts.
+        if isinstance(value, str | bytes | complex | np.datetime64 | np.timedelta64) or value is np.ma.masked:
             raise TypeError
         number = float(value)
     except (TypeError, ValueError):

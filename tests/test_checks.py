@@ -12,7 +12,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit.checks import check_same_step, count, differing, finite_array, finite_number, real_array, same_step
+from pisplit.checks import (
+    check_same_step,
+    count,
+    differing,
+    finite_array,
+    finite_number,
+    positive,
+    real_array,
+    same_step,
+)
 
 
 @pytest.mark.parametrize(
@@ -121,3 +130,13 @@ def test_time_steps_are_one_up_to_the_digits_of_a_file(step: float) -> None:
         check_same_step(step * (1 + 2e-6), step, "the file has", "the model")
     one, other = re.findall(r"([0-9.e+-]+) s[,;]", str(found.value))
     assert one != other and float(other) == step
+
+
+def test_masks_in_lists_are_missing_too() -> None:
+    row = np.ma.masked_greater([1.0, 5.0], 2.0)
+    np.testing.assert_array_equal(real_array([[row, [3.0, 4.0]]], "x"), [[[1.0, np.nan], [3.0, 4.0]]])
+
+
+def test_a_complex_number_is_no_length() -> None:
+    with pytest.raises(ValueError, match="length is not a number"):
+        positive(np.complex128(1.0 + 2.0j), "length", "m")

@@ -143,3 +143,8 @@ def test_bad_phase_samples_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             PhaseSamples(*arguments)
+
+
+def test_masks_of_extra_arrays_are_not_dropped() -> None:
+    with pytest.raises(ValueError, match="masked, which would be lost"):
+        Episodes([np.zeros((3, 1))], [np.zeros((2, 1))], 0.1, extra={"state": [np.ma.masked_equal([0, 1, 2], 1)]})

@@ -162,3 +162,14 @@ def test_wrong_histories_and_inputs_are_refused() -> None:
         model.rollout(np.zeros(model.n_lifted), np.zeros((4, 3)))
     with pytest.raises(ValueError, match="z0"):
         model.rollout(np.zeros(3), np.zeros((4, 2)))
+
+
+def test_arrays_of_a_model_are_its_own() -> None:
+    model = fitted()
+    matrix = model.A.copy()
+    other = replace(model, A=matrix)
+    matrix[0, 0] = 99.0
+    assert np.array_equal(other.A, model.A)
+    for again in (model, pickle.loads(pickle.dumps(model))):
+        with pytest.raises(ValueError, match="read-only"):
+            again.A[0, 0] = 99.0

@@ -8,9 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pisplit import Dictionary, Episodes, LinearEDMDc, StreamingEDMDc, compare, horizon_errors, learning_curve
+from pisplit import (
+    Dictionary,
+    Episodes,
+    LinearEDMDc,
+    PhaseSamples,
+    StreamingEDMDc,
+    compare,
+    horizon_errors,
+    learning_curve,
+)
 from pisplit import observables as ob
 from pisplit.lifted.formats import to_control
+from pisplit.models import rod
 
 A, B = np.array([[0.9, 0.2], [-0.1, 0.8]]), np.array([[0.0, 0.1], [0.5, -0.3]])
 
@@ -130,3 +140,40 @@ def test_inputs_alone_are_converted() -> None:
     d1 = Episodes([np.ones((3, 1))], [np.ones((2, 1))], 0.1, units=["m"], input_units=["mm"])
     wanted = d1.arranged(input_units=["m"])
     assert (wanted.units, wanted.input_units) == (("m",), ("m",)) and wanted.us[0][0, 0] == 1e-3
+
+
+def test_rows_and_tables_that_name_their_columns_are_matched_by_name(fitted: LinearEDMDc) -> None:
+    pd = pytest.importorskip("pandas")
+    data = recorded()
+    x, u = data.xs[0][0], data.us[0]
+    state = pd.Series(x, index=data.state_names)
+    inputs = pd.DataFrame(u, columns=list(data.input_names or ()))
+    exact = fitted.predict(x, u)
+    assert np.array_equal(fitted.predict(state[::-1], inputs[inputs.columns[::-1]]), exact)
+    assert np.array_equal(fitted.lifted.lift(state[::-1]), fitted.lifted.lift(x))
+    with pytest.raises(ValueError, match="the table has no states named"):
+        fitted.predict(state.rename({state.index[0]: "elsewhere"}), u)
+    with pytest.raises(ValueError, match="the table has no inputs named"):
+        fitted.predict(x, inputs.rename(columns={inputs.columns[0]: "elsewhere"}))
+
+
+def test_inputs_of_a_scene_are_matched_by_name() -> None:
+    pd = pytest.importorskip("pandas")
+    scene = rod.Scene(
+        rod.Rod(length=0.3, section=rod.Circle(1e-3), material=rod.Elastic(1e9, 4e8, 1e3)),
+        rod.TipWrench(force=rod.Input("f", 3)),
+        nodes=4,
+    )
+    force = pd.Series([1e-2, 0.0, 2e-2], index=scene.input_names)
+    assert np.array_equal(scene.statics().solve(force[::-1]).tip, scene.statics().solve(force.to_numpy()).tip)
+    with pytest.raises(ValueError, match="named f"):
+        scene.statics().solve(force.rename({"f[0]": "g"}))
+
+
+def test_phase_samples_take_names_from_tables() -> None:
+    pd = pytest.importorskip("pandas")
+    x = pd.DataFrame([[1.0, 2.0], [3.0, 4.0]], columns=["angle", "rate"])
+    samples = PhaseSamples(x=x, u=np.zeros((2, 1)), xdot=np.ones((2, 2)))
+    assert samples.state_names == ("angle", "rate")
+    with pytest.raises(ValueError, match="give the order"):
+        PhaseSamples(x=x, u=np.zeros((2, 1)), xdot=np.ones((2, 2)), state_names=("rate", "angle"))

@@ -21,6 +21,8 @@ from pisplit.controllers.mpc.limits import input_limits
 from pisplit.controllers.mpc.problem import ProblemState, TrackingProblem, Weights
 from pisplit.controllers.mpc.qp import QPSettings
 from pisplit.controllers.mpc.relinearise import AlongPlan
+from pisplit.data.columns import in_order
+from pisplit.evaluation.matching import Fitted, model_of
 from pisplit.lifted.model import LiftedModel
 
 GROWTH_LIMIT = 100.0
@@ -71,7 +73,7 @@ class MPC:
 
     def __init__(
         self,
-        model: LiftedModel,
+        model: LiftedModel | Fitted,
         horizon: int,
         u_min: ArrayLike,
         u_max: ArrayLike,
@@ -89,14 +91,12 @@ class MPC:
         output_scale: ArrayLike | None = None,
         qp: QPSettings | None = None,
     ) -> None:
-        self.model = model
+        self.model = model = model_of(model, "model")
         self.horizon = count(horizon, "horizon")
         check_dt(model, dt)
         target = tracked_states(model, track, axes)
         self.track, self.group, self.axes, self.tracked = target.name, target.group, target.axes, target.states
-        self._limits = input_limits(
-            u_min, u_max, du_max, model.n_inputs, model.input_offset, np.asarray(model.input_basis)
-        )
+        self._limits = input_limits(u_min, u_max, du_max, model.n_inputs, model.input_offset, model.input_basis)
         p, H = len(self.tracked), self.horizon
         rows = list(self.tracked)
         self._read, self._read_offset = model.C[rows], model.d[rows]
@@ -195,7 +195,8 @@ class MPC:
         """
         wall, cpu = time.perf_counter(), time.thread_time()
         r = checked_window(reference_window, self.horizon, len(self.tracked)).ravel()
-        x = finite_array(x_measured, "x_measured", (self.model.n_states,))
+        named = in_order(x_measured, self.model.state_names, "states")
+        x = finite_array(named, "x_measured", (self.model.n_states,))
         problem, limits, history = self._problem, self._limits, self._history
 
         history.measure(x)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from pisplit.checks import Array, count, finite_array, positive
+from pisplit.checks import Array, count, finite_array, positive, real_array
 from pisplit.models.arm.tendon_arm import TendonArm
 
 #: Part of the table that its edges are taken at.
@@ -45,7 +45,7 @@ class TableRange:
 
     def outside(self, inputs: ArrayLike) -> Array:
         """By how much inputs (..., m) in m are outside, (...) in m along the axes; zero within."""
-        u = np.asarray(inputs, dtype=float)
+        u = real_array(inputs, "inputs")
         if u.ndim == 0 or u.shape[-1] != len(self.rest):
             raise ValueError(f"inputs have shape {u.shape}; expected (..., {len(self.rest)})")
         beyond = np.abs((u - self.rest) @ self.basis).max(axis=-1) - self.half_width
@@ -124,7 +124,7 @@ class EquilibriumTable:
 
     def values(self, inputs: ArrayLike) -> Array:
         """Equilibria (..., n + 3 S) under inputs (..., m) in m; warns where they are outside the table."""
-        u = np.asarray(inputs, dtype=float)
+        u = real_array(inputs, "inputs")
         self.function.within.say(u)
         rows = u.reshape(-1, u.shape[-1])
         found = np.asarray(self.function.map(len(rows))(rows.T)).T
@@ -215,10 +215,7 @@ def _continued(arm: TendonArm, table: ca.Function, half_width: float) -> ca.Func
 
 
 def _target(target: ArrayLike) -> Array:
-    try:
-        wanted = np.asarray(target, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"target is not numeric: got {target!r}; give three coordinates in m") from None
+    wanted = real_array(target, "target")
     if wanted.shape != (3,) or np.isinf(wanted).any() or np.isnan(wanted).all():
         raise ValueError(f"target = {wanted.tolist()}; expected three coordinates in m, at least one of them not NaN")
     return wanted

@@ -52,7 +52,7 @@ def calibrate_from_equilibria(
     """
     n = arm.scene.n_strains
     u = finite_array(inputs, "inputs", (None, arm.scene.n_inputs))
-    xi = finite_array(np.asarray(coordinates, dtype=float)[:, :n], "coordinates", (len(u), n))
+    xi = finite_array(coordinates, "coordinates", (len(u), None))[:, :n]
     model = ParametrisedArm(arm, start, free)
     if "damping" in free:
         raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_pairs")

@@ -123,7 +123,7 @@ class CalibratedTendons(TendonTerm):
         if self.values is not None and len(self.values) != 6 * self.n_tendons + 4:
             raise ValueError(f"{len(self.values)} parameters of {self.n_tendons} tendons; expected 6 each and 4 more")
         if self.values is not None:
-            finite_array(np.asarray(self.values), "CalibratedTendons values", (None,))
+            finite_array(self.values, "CalibratedTendons values", (None,))
 
     @property
     def inputs(self) -> tuple[Input, ...]:

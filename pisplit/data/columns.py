@@ -60,6 +60,25 @@ def table_columns(arrays: Sequence[Any], given: Sequence[str] | None, name: str)
     return given
 
 
+def in_order(value: Any, names: Sequence[str], what: str, owner: str = "the model") -> Any:
+    """``value`` as it is, or with its columns in the order of ``names`` where it is a table or a row that names them.
+
+    value  an array of any kind; a table (pandas, polars) whose columns, or a row (pandas) whose entries have texts for
+           names
+    names  of the columns that the ``owner`` wants; where these are x1, x2, ... or u1, u2, ... columns go by position
+    what   "states" or "inputs"
+
+    Raises ValueError, in one line, if the table has other columns.
+    """
+    found = getattr(value, "columns", None)
+    if found is None and getattr(value, "ndim", 0) == 1:
+        found = getattr(value, "index", None)
+    if not isinstance(found, Iterable) or not all(isinstance(label, str) for label in found):
+        return value
+    order = column_order(tuple(found), names, what, "the table", owner)
+    return np.asarray(value)[..., order]
+
+
 def column_order(
     given: Sequence[str] | None,
     wanted: Sequence[str] | None,

@@ -68,6 +68,11 @@ def extra_arrays(extra: Mapping[str, Sequence[Any]], size: int) -> dict[str, tup
     for name, arrays in extra.items():
         if len(arrays) != size:
             raise ValueError(f"extra[{name!r}] has {len(arrays)} arrays; expected {size}, one an episode")
+    for name, arrays in extra.items():
+        if any(isinstance(a, np.ma.MaskedArray) for a in arrays):
+            raise ValueError(
+                f"extra[{name!r}] is masked, which would be lost; give NaN, or the mask as an array of its own"
+            )
     return {name: tuple(frozen(np.asarray(a)) for a in arrays) for name, arrays in extra.items()}
 
 

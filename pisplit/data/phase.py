@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_array, positive
 from pisplit.data import store
-from pisplit.data.columns import column_order, labels
+from pisplit.data.columns import column_order, labels, table_columns
 from pisplit.data.rows import frozen, refrozen
 from pisplit.mapping import Mapped
 
@@ -56,6 +56,8 @@ class PhaseSamples:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
+        for name, table in (("state_names", self.x), ("input_names", self.u)):
+            put(self, name, table_columns([table], getattr(self, name), name))
         put(self, "x", frozen(finite_array(self.x, "x", (None, None))))
         size, n = self.x.shape
         if size == 0 or n == 0:

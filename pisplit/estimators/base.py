@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_array, non_negative, one_of, positive
+from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
@@ -72,7 +73,7 @@ class Estimator(Parameters):
         """
         model = self._fitted()
         states, past = _history(history, self.theta_)
-        result = model.predict(states, past, finite_array(inputs, "U", (None, model.n_inputs)))
+        result = model.predict(states, past, inputs)
         if result.diverged:
             warnings.warn(
                 f"the roll-out diverged at step {result.diverged_at}; states are held from there", stacklevel=2
@@ -217,8 +218,10 @@ def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
     """Equilibria x (N, n) and inputs u (N, m) of this system."""
     if not isinstance(equilibria, tuple | list) or len(equilibria) != 2:
         raise ValueError("equilibria are two arrays: (x (N, n), u (N, m)), states that rest under constant inputs")
-    states = finite_array(equilibria[0], "x of equilibria", (None, theta.n_states))
-    return states, finite_array(equilibria[1], "u of equilibria", (len(states), theta.n_inputs))
+    names = theta.names
+    x, u = in_order(equilibria[0], names.states, "states"), in_order(equilibria[1], names.inputs, "inputs")
+    states = finite_array(x, "x of equilibria", (None, theta.n_states))
+    return states, finite_array(u, "u of equilibria", (len(states), theta.n_inputs))
 
 
 def _exciting(
@@ -235,15 +238,14 @@ def _exciting(
     return Excitation.of(inputs, data, theta.names.quantities)
 
 
-def _history(history: Any, theta: Dictionary) -> tuple[Array, Array | None]:
+def _history(history: Any, theta: Dictionary) -> tuple[ArrayLike, ArrayLike | None]:
     if isinstance(history, tuple | list) and len(history) == 2 and np.ndim(history[0]) == 2:
-        return np.asarray(history[0], dtype=np.float64), np.asarray(history[1], dtype=np.float64)
-    states = np.asarray(history, dtype=np.float64)
+        return history[0], history[1]
     if theta.n_delays == 0:
-        return states, None
+        return history, None
     if theta.input_delays:
         raise ValueError(
             f"the dictionary delays inputs by {theta.input_delays}; give history as two arrays: "
             f"(x_history ({theta.n_delays + 1}, n), u_history ({theta.n_delays}, m))"
         )
-    return states, np.zeros((theta.n_delays, theta.n_inputs))
+    return history, np.zeros((theta.n_delays, theta.n_inputs))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.checks import finite_array
 from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
@@ -90,7 +91,7 @@ def rollout_errors(
     model = model_of(model)
     episodes = matched(model, episodes, states)
     chosen = state_indices(model, states)
-    weight = np.ones(len(chosen)) if weights is None else np.asarray(weights)[chosen]
+    weight = np.ones(len(chosen)) if weights is None else finite_array(weights, "weights", (model.n_states,))[chosen]
     delays = model.n_delays
     lengths = np.array([len(u) for u in episodes.us]) - delays
     if lengths.min() < 1:

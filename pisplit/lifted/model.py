@@ -14,8 +14,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import finite_array, positive
+from pisplit.checks import finite_array, positive, real_array
 from pisplit.data import store
+from pisplit.data.columns import in_order
+from pisplit.data.rows import frozen, refrozen
 from pisplit.dictionary.products import BilinearTerm, Transition, runs, span
 from pisplit.mapping import Mapped
 
@@ -58,7 +60,8 @@ class LiftedModel:
     ``provenance``: JSON-able facts about the origin of the model.
     ``state_units`` (n,), ``input_units`` (m,): units as texts, those of the training data; "" where nobody said.
 
-    Raises ValueError for shapes that do not fit each other and for entries that are not finite.
+    Arrays are copied, and read-only; ``dataclasses.replace(model, A=...)`` makes another model. Raises ValueError for
+    shapes that do not fit each other and for entries that are not finite.
     """
 
     A: Array
@@ -86,7 +89,7 @@ class LiftedModel:
     def __post_init__(self) -> None:
         n, m = len(self.state_names), len(self.input_names)
         columns, features = len(self.column_names), len(self.feature_names)
-        basis = np.asarray(self.input_basis)
+        basis = real_array(self.input_basis, "input_basis")
         shapes: dict[str, tuple[int | None, ...]] = {
             "A": (columns, columns),
             "B": (columns, features),
@@ -98,9 +101,9 @@ class LiftedModel:
             "state_range": (n,),
         }
         for name, shape in shapes.items():
-            object.__setattr__(self, name, finite_array(getattr(self, name), name, shape))
+            object.__setattr__(self, name, frozen(finite_array(getattr(self, name), name, shape)))
         if self.N is not None:
-            object.__setattr__(self, "N", finite_array(self.N, "N", (m, columns, columns)))
+            object.__setattr__(self, "N", frozen(finite_array(self.N, "N", (m, columns, columns))))
         for name, size in (("state_units", n), ("input_units", m)):
             object.__setattr__(self, name, _units(getattr(self, name), name, size))
         positive(self.dt, "dt", "s")
@@ -160,6 +163,7 @@ class LiftedModel:
         Without delays a single state x (n,) is accepted and u_history may be left out. E histories at once, (E, D+1, n)
         and (E, D, m), give z (E, M). Raises ValueError for other shapes and entries that are not finite.
         """
+        x_history = in_order(x_history, self.state_names, "states")
         delays, axes = self.n_delays, np.ndim(x_history)
         lead = (len(x_history),) if axes == 3 else ()  # type: ignore[arg-type]
         if delays == 0 and axes == 1:
@@ -168,24 +172,25 @@ class LiftedModel:
             states = finite_array(x_history, "x_history", (*lead, delays + 1, self.n_states))
         if u_history is None and delays == 0:
             u_history = np.zeros((*lead, 0, self.n_inputs))
-        inputs = finite_array(u_history, "u_history", (*lead, delays, self.n_inputs))  # type: ignore[arg-type]
+        u_history = in_order(u_history, self.input_names, "inputs")
+        inputs = finite_array(u_history, "u_history", (*lead, delays, self.n_inputs))
         rows = lead[0] if lead else 1
         z = self._lift(states.reshape(rows, (delays + 1) * self.n_states), inputs.reshape(rows, delays * self.n_inputs))
         return z if lead else z[0]
 
     def features(self, inputs: ArrayLike) -> Array:
         """phi (N, P) of inputs (N, m)."""
-        return self._features(finite_array(inputs, "U", (None, self.n_inputs)))
+        return self._features(self._inputs(inputs))
 
     def feature_jacobian(self, inputs: ArrayLike) -> Array:
         """d phi / d u (N, P, m) at inputs (N, m)."""
-        points = finite_array(inputs, "U", (None, self.n_inputs))
+        points = self._inputs(inputs)
         flat = self._jacobian(points)
         return flat.reshape(len(points), self.n_inputs, self.n_features).transpose(0, 2, 1)
 
     def step(self, z: ArrayLike, u: ArrayLike) -> Array:
         """One step z (M,) -> z+ (M,) under the input u (m,) (eq. update_rule)."""
-        state, inputs = np.asarray(z, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        state, inputs = finite_array(z, "z", (self.n_lifted,)), self._input(u)
         following = self.A @ state + self.B @ self.features(inputs[None, :])[0] + self.c
         if self.bilinear_term is not None:
             following[self.bilinear_term.rows] += self.bilinear_term(state, inputs)
@@ -193,7 +198,7 @@ class LiftedModel:
 
     def transition(self, u: ArrayLike) -> Array:
         """A + sum_i u_i N_i (M, M) under the input u (m,)."""
-        inputs = finite_array(u, "u", (self.n_inputs,))
+        inputs = self._input(u)
         return self.A.copy() if self.N is None else self.A + np.tensordot(inputs, self.N, axes=1)
 
     def fixed_point(self, u: ArrayLike) -> Array:
@@ -201,7 +206,7 @@ class LiftedModel:
 
         The column "1" has its value 1. Raises ValueError where there is no fixed point, or a whole line of them.
         """
-        inputs = finite_array(u, "u", (self.n_inputs,))
+        inputs = self._input(u)
         forcing = self.B @ self.features(inputs[None, :])[0] + self.c
         matrix = np.eye(self.n_lifted) - self.transition(inputs)
         z = np.zeros(self.n_lifted)
@@ -223,16 +228,16 @@ class LiftedModel:
 
     def read(self, z: ArrayLike) -> Array:
         """States y (..., n) of lifted states z (..., M)."""
-        return np.asarray(z, dtype=np.float64) @ self.C.T + self.d
+        return real_array(z, "z") @ self.C.T + self.d
 
     def rollout(self, z0: ArrayLike, inputs: ArrayLike) -> Rollout:
         """Predict T steps from z0 (M,) under inputs (T, m), or E episodes at once from (E, M) under (E, T, m)."""
-        start = np.asarray(z0, dtype=np.float64)
+        start = real_array(z0, "z0")
         if start.ndim == 2:
             start = finite_array(start, "z0", (None, self.n_lifted))
             return self._rollout_many(start, finite_array(inputs, "U", (len(start), None, self.n_inputs)))
         start = finite_array(start, "z0", (self.n_lifted,))
-        batch = self._rollout_many(start[None], finite_array(inputs, "U", (None, self.n_inputs))[None])
+        batch = self._rollout_many(start[None], self._inputs(inputs)[None])
         at = int(np.asarray(batch.diverged_at)[0])
         return Rollout(x=batch.x[0], z=batch.z[0], diverged=at >= 0, diverged_at=at if at >= 0 else None)
 
@@ -242,6 +247,14 @@ class LiftedModel:
         Without delays ``x_history`` may be x0 (n,) and ``u_history`` None.
         """
         return self.rollout(self.lift(x_history, u_history), inputs)
+
+    def _inputs(self, inputs: ArrayLike) -> Array:
+        """Inputs (N, m), columns that have names in the model's order."""
+        return finite_array(in_order(inputs, self.input_names, "inputs"), "U", (None, self.n_inputs))
+
+    def _input(self, u: ArrayLike) -> Array:
+        """One input (m,), entries that have names in the model's order."""
+        return finite_array(in_order(u, self.input_names, "inputs"), "u", (self.n_inputs,))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to an HDF5 file ``path``, whole or not at all."""
@@ -275,6 +288,9 @@ class LiftedModel:
                 outputs={name: tuple(group) for name, group in store.read_json(file, "outputs").items()},
                 provenance=store.read_json(file, "provenance"),
             )
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
 
     def __getstate__(self) -> dict[str, Any]:
         return {item.name: self.__dict__[item.name] for item in fields(self)}  # evaluators are rebuilt, not pickled

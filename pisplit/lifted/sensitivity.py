@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_array
+from pisplit.data.columns import in_order
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.modes import refuse_bilinear
 
@@ -28,7 +29,7 @@ def rollout_jacobian(model: LiftedModel, inputs: ArrayLike) -> Array:
 
     Zero where the input comes after the state. Delayed inputs act through the columns of z that hold them.
     """
-    points = finite_array(inputs, "U", (None, model.n_inputs))
+    points = finite_array(in_order(inputs, model.input_names, "inputs"), "U", (None, model.n_inputs))
     steps = len(points)
     direct = input_jacobian(model, points)
     result = np.zeros((steps, model.n_states, steps, model.n_inputs))

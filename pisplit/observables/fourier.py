@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import count, positive
+from pisplit.checks import count, positive, real_array
 from pisplit.observables.columns import Columns, OneSided, Symbol, linear_form
 
 
@@ -71,7 +71,7 @@ class RandomFourier(OneSided):
 
 def per_variable(value: float | Sequence[float], name: str, size: int) -> np.ndarray:
     """One number ``value`` for all variables, or one for each (size,); errors call it ``name``."""
-    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    numbers = np.atleast_1d(real_array(value, name))
     if numbers.shape not in ((1,), (size,)):
         raise ValueError(f"{name} has {numbers.size} entries; expected one, or {size}, one a variable")
     return np.broadcast_to(numbers, (size,))

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import count, finite_array, one_of, positive
+from pisplit.checks import count, finite_array, one_of, positive, real_array
 from pisplit.observables.columns import Columns, OneSided, Symbol
 from pisplit.observables.fourier import per_variable
 
@@ -36,7 +36,7 @@ class Radial(OneSided):
         if rows.size == 0:
             raise ValueError("centres is empty; give at least one centre")
         object.__setattr__(self, "centres", tuple(tuple(row) for row in rows.tolist()))
-        widths = np.atleast_1d(np.asarray(self.width, dtype=np.float64)).tolist()
+        widths = np.atleast_1d(real_array(self.width, "width")).tolist()
         object.__setattr__(self, "width", tuple(positive(w, "width") for w in widths))
         one_of(self.kind, "kind", KINDS)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import count, finite_array, finite_number, non_negative, positive
+from pisplit.checks import count, finite_array, finite_number, non_negative, positive, real_array
 from pisplit.regression.lasso import lasso
 from pisplit.regression.least_squares import ridge
 from pisplit.regression.multi_target import Regression
@@ -45,7 +45,7 @@ class RecursiveRegression:
 
     def update(self, a: ArrayLike, y: ArrayLike) -> RecursiveRegression:
         """Add samples a (M,) and y (S,), or rows (N, M) and (N, S), oldest first. Returns itself."""
-        rows_a, rows_y = (np.atleast_2d(np.asarray(v, dtype=np.float64)) for v in (a, y))
+        rows_a, rows_y = (np.atleast_2d(real_array(v, name)) for v, name in ((a, "a"), (y, "y")))
         rows_a = finite_array(rows_a, "a", (None, self.columns))
         rows_y = finite_array(rows_y, "y", (len(rows_a), self.targets))
         fresh = np.hstack([rows_a, rows_y])

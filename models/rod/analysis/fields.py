@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, count, finite_array
+from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.models.rod.answers import finite_answer
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 
@@ -108,7 +108,7 @@ class Fields(Rebuilt):
 
         Raises ValueError for states of another scene, or so large that the fields overflow.
         """
-        states = np.asarray(x, dtype=float)
+        states = real_array(x, "states")
         if states.ndim == 0 or states.shape[-1] != self.scene.n_states:
             raise ValueError(f"states have shape {states.shape}; expected (..., {self.scene.n_states}) for this scene")
         flat = finite_array(states.reshape(-1, states.shape[-1]), "states", (None, self.scene.n_states))

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, count, finite_array
+from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.files import replacing
 from pisplit.models.rod.terms.routing import sample
 from pisplit.models.rod.terms.tendons import Tendons
@@ -60,7 +60,7 @@ class Shape:
 
 def tensions(scene: Scene, states: ArrayLike) -> Array:
     """Tendon tensions (N, tendons) in N of ``states`` (N, n_states) of ``scene``."""
-    x = np.atleast_2d(np.asarray(states, float))
+    x = np.atleast_2d(real_array(states, "states"))
     xi, u, balance = scene.static_balance
     tension = balance.loads.outputs.get("tension", ca.SX(0, 1))
     read = ca.Function("tension", [xi, u], [tension], {"cse": True})
@@ -74,7 +74,7 @@ def shape_of(scene: Scene, states: ArrayLike) -> Shape:
 
     Raises ValueError for states of another shape.
     """
-    x = finite_array(np.atleast_2d(np.asarray(states, float)), "states", (None, scene.n_states))
+    x = finite_array(np.atleast_2d(real_array(states, "states")), "states", (None, scene.n_states))
     s = np.linspace(0.0, scene.rod.length, POINTS)
     p, _ = _placed(scene, x, s)
     bundles = [t for t in scene.terms if isinstance(t, Tendons)]
@@ -180,12 +180,10 @@ def plot_energy(t: ArrayLike, energies: Mapping[str, ArrayLike], title: str = ""
 
     Raises ValueError for an energy of another length than the times.
     """
-    times = finite_array(np.asarray(t, float), "t", (None,))
+    times = finite_array(t, "t", (None,))
     if not energies:
         raise ValueError("energies is empty; give at least one, such as {'kinetic': T}")
-    values = {
-        name: finite_array(np.asarray(e, float), f"energy {name!r}", (len(times),)) for name, e in energies.items()
-    }
+    values = {name: finite_array(e, f"energy {name!r}", (len(times),)) for name, e in energies.items()}
     figure = _figure(9.0, 6.0)
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
     for name, e in values.items():

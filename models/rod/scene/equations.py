@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
+from pisplit.data.columns import in_order
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.scene.contents import Contents
 from pisplit.models.rod.terms.base import Base
@@ -145,14 +146,14 @@ class Equations(Contents):
         """Inputs as an array.
 
         Args:
-            u: inputs (n_inputs,) or rows of them.
+            u: inputs (n_inputs,) or rows of them; columns that have the names of the inputs may have any order.
             name: what messages call them.
             shape: expected shape, None for any length.
 
         Raises ValueError for other shapes, entries that are not finite, a displacement that would shorten a tendon to
         nothing, and a tension that would push.
         """
-        array = finite_array(u, name, shape)
+        array = finite_array(in_order(u, self.input_names, "inputs", "the scene"), name, shape)
         start = 0
         for item in self.inputs:
             pull = self.pulls.get(item.name)

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, one_of, positive
+from pisplit.checks import Array, one_of, positive, real_array
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.scene.equations import Equations
 from pisplit.models.rod.scene.identity import fingerprint
@@ -103,7 +103,7 @@ class Scene(Equations):
         """
         from pisplit.models.rod.statics.resolution import resolved
 
-        rows = np.zeros((1, self.n_inputs)) if inputs is None else np.atleast_2d(np.asarray(inputs, dtype=np.float64))
+        rows = np.zeros((1, self.n_inputs)) if inputs is None else np.atleast_2d(real_array(inputs, "inputs"))
         rows = self.checked_inputs(rows, "inputs", (None, self.n_inputs))
         return resolved(self, rows, positive(tolerance, "tolerance"))
 

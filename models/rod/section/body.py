@@ -72,7 +72,7 @@ class Rod:
             one_of(self.strains, "Rod strains", tuple(STRAIN_SETS))
         self._check_elements()
         if not callable(self.rest_curvature):
-            curvature = finite_array(np.asarray(self.rest_curvature), "Rod rest_curvature", (3,))
+            curvature = finite_array(self.rest_curvature, "Rod rest_curvature", (3,))
             object.__setattr__(self, "rest_curvature", tuple(curvature.tolist()))
         ends = [k * self.length for k in (0.0, 0.5, 1.0)]
         rest = self.profile(ends).rest
@@ -122,7 +122,7 @@ class Rod:
     def rest_curvature_at(self, s: float) -> tuple[float, ...]:
         """(w1, w2, w3) of the unloaded rod in 1/m at arclength ``s`` in m."""
         value = self.rest_curvature(s) if callable(self.rest_curvature) else self.rest_curvature
-        return tuple(finite_array(np.asarray(value), f"Rod rest_curvature at s = {s:g} m", (3,)).tolist())
+        return tuple(finite_array(value, f"Rod rest_curvature at s = {s:g} m", (3,)).tolist())
 
     def profile(self, s: ArrayLike) -> Profile:
         """Constants of the rod at arclengths ``s`` (S,) in m."""

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from pisplit.checks import finite_array, finite_number, positive
+from pisplit.checks import finite_array, finite_number, positive, real_array
 
 
 @runtime_checkable
@@ -136,10 +136,11 @@ class GeneralSection:
 
     def __post_init__(self) -> None:
         positive(self.area, "GeneralSection area", "m^2")
-        i1, i2 = finite_array(np.atleast_1d(self.second_moments)[:2], "GeneralSection second_moments", (2,)).tolist()
+        moments = np.atleast_1d(real_array(self.second_moments, "GeneralSection second_moments"))
+        i1, i2 = finite_array(moments[:2], "GeneralSection second_moments", (2,)).tolist()
         positive(i1, "GeneralSection second_moments[0]", "m^4")
         positive(i2, "GeneralSection second_moments[1]", "m^4")
-        factors = finite_array(np.asarray(self.shear_factors), "GeneralSection shear_factors", (2,)).tolist()
+        factors = finite_array(self.shear_factors, "GeneralSection shear_factors", (2,)).tolist()
         for k, factor in enumerate(factors):
             positive(factor, f"GeneralSection shear_factors[{k}]")
         torsion = i1 + i2 if np.isnan(self.torsion_constant) else self.torsion_constant

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, finite_array, positive
+from pisplit.checks import Array, finite_array, positive, real_array
 
 if TYPE_CHECKING:
     from pisplit.models.rod.statics.equilibrium import Equilibrium
@@ -52,7 +52,7 @@ def inverse(
     """
     scene = statics.scene
     length, m = scene.rod.length, scene.n_inputs
-    goal = np.asarray(target, float)
+    goal = real_array(target, "target")
     if goal.shape != (3,) or not np.any(np.isfinite(goal)) or np.any(np.isinf(goal)):
         raise ValueError(f"target = {goal.tolist()}; expected three coordinates in m, NaN for those that are free")
     if m == 0:
@@ -98,8 +98,12 @@ def _limits(limits: ArrayLike | None, m: int) -> tuple[Array, Array]:
     """Lower and upper limits (m,) each, from None, (2,) or (2, m)."""
     if limits is None:
         return np.full(m, -np.inf), np.full(m, np.inf)
-    both = np.asarray(limits, float)
-    if both.shape not in ((2,), (2, m)) or np.any(np.isnan(both)) or np.any(both[0] > both[1]):
+    both = real_array(limits, "limits")
+    if np.isnan(both).any():
+        raise ValueError(
+            f"limits have {np.isnan(both).sum()} masked or NaN entries; give infinite ones where there is no limit"
+        )
+    if both.shape not in ((2,), (2, m)) or np.any(both[0] > both[1]):
         raise ValueError(f"limits have shape {both.shape}; expected (low, high) or (2, {m}) with low <= high")
     low, high = (np.broadcast_to(row, (m,)).astype(np.float64) for row in both)
     return low, high

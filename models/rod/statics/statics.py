@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from pisplit.checks import Array, finite_array
+from pisplit.checks import Array, finite_array, real_array
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
@@ -116,7 +116,7 @@ class Statics(Rebuilt):
         branches, n = self.branches, self.scene.n_strains
         if start is None:
             return branches.of_root(x, u, converged)
-        given = np.asarray(guess, dtype=np.float64).ravel()
+        given = real_array(guess, "guess").ravel()  # type: ignore[arg-type]  # there is one where there is a start
         if given.size == self.scene.n_states and branches.rests(start, given[2 * n :]):
             return branches.of_state(x, u, start, given[2 * n :], converged)
         return branches.near(x, u) if converged else branches.of_root(x, u, converged)
@@ -359,7 +359,7 @@ class Statics(Rebuilt):
         return tension, np.maximum(0.0, unpulled - length)
 
     def _scaled(self, guess: ArrayLike) -> Array:
-        values = np.asarray(guess, float).ravel()
+        values = real_array(guess, "guess").ravel()
         if values.size not in (self.scene.n_strains, self.scene.n_states):
             raise ValueError(
                 f"guess has {values.size} entries; expected {self.scene.n_states} (a state) "

@@ -26,7 +26,7 @@ def checked_disks(disks: int | Sequence[float]) -> int | tuple[float, ...]:
     """
     if isinstance(disks, int | np.integer):
         return count(disks, "Tendons disks")
-    places = tuple(finite_array(np.asarray(disks, dtype=float), "Tendons disks", (None,)).tolist())
+    places = tuple(finite_array(disks, "Tendons disks", (None,)).tolist())
     if not places or any(b <= a for a, b in pairwise((0.0, *places))):
         raise ValueError(f"Tendons disks = {places}; expected a number, or increasing arclengths above 0 in m")
     return places

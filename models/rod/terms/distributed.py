@@ -86,4 +86,4 @@ class DistributedWrench:
 
 
 def _sampled(value: Callable[[float], Sequence[float]], nodes: list[float], name: str) -> np.ndarray:
-    return np.array([finite_array(np.asarray(value(s)), f"{name} at s = {s:g} m", (3,)) for s in nodes]).T
+    return np.array([finite_array(value(s), f"{name} at s = {s:g} m", (3,)) for s in nodes]).T

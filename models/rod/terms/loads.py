@@ -45,7 +45,7 @@ def checked_vector(value: Vector, name: str) -> Vector:
         if value.size != 3:
             raise ValueError(f"{name} is an input of size {value.size}; expected size 3")
         return value
-    return tuple(finite_array(np.asarray(value), name, (3,)).tolist())
+    return tuple(finite_array(value, name, (3,)).tolist())
 
 
 @dataclass

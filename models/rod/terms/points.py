@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from pisplit.checks import finite_array, non_negative, positive
 from pisplit.models.rod.kinematics.gauss import Rule
@@ -143,9 +142,9 @@ class PointMass:
     def __post_init__(self) -> None:
         positive(self.s, "PointMass s", "m")
         non_negative(self.mass, "PointMass mass", "kg")
-        inertia = finite_array(np.asarray(self.inertia), "PointMass inertia", (3,)).tolist()
+        inertia = finite_array(self.inertia, "PointMass inertia", (3,)).tolist()
         object.__setattr__(self, "inertia", tuple(non_negative(j, "PointMass inertia", "kg m^2") for j in inertia))
-        offset = finite_array(np.asarray(self.offset), "PointMass offset", (3,)).tolist()
+        offset = finite_array(self.offset, "PointMass offset", (3,)).tolist()
         object.__setattr__(self, "offset", tuple(offset))
 
     @classmethod

@@ -61,7 +61,7 @@ class Line:
     def __post_init__(self) -> None:
         positive(self.length, "Line length", "m")
         for name in ("start", "end"):
-            point = finite_array(np.asarray(getattr(self, name)), f"Line {name}", (2,))
+            point = finite_array(getattr(self, name), f"Line {name}", (2,))
             object.__setattr__(self, name, tuple(point.tolist()))
 
     def __call__(self, s: float) -> tuple[float, float]:
@@ -80,7 +80,7 @@ def checked_routes(offsets: Sequence[Route], name: str) -> tuple[Route, ...]:
     ``offsets`` are routes; ``name`` of the term is for messages.
     """
     if not any(callable(o) for o in offsets):
-        points = finite_array(np.asarray(offsets), f"{name} offsets", (None, 2))
+        points = finite_array(offsets, f"{name} offsets", (None, 2))  # type: ignore[arg-type]
         if len(points) == 0:
             raise ValueError(f"{name} offsets is empty; give at least one routing point (x, y)")
         return tuple(map(tuple, points.tolist()))
@@ -114,7 +114,7 @@ def on_circle(offset: float, angles_deg: Sequence[float], name: str) -> list[lis
     ``name`` of the term is for messages.
     """
     positive(offset, f"{name} offset", "m")
-    angles = np.deg2rad(finite_array(np.asarray(angles_deg), f"{name} angles_deg", (None,)))
+    angles = np.deg2rad(finite_array(angles_deg, f"{name} angles_deg", (None,)))
     points: list[list[float]] = (offset * np.stack([np.cos(angles), np.sin(angles)], axis=1)).tolist()
     return points
 
@@ -138,7 +138,7 @@ def sample(route: Route, points: Array, length: float) -> tuple[Array, Array]:
 
 
 def _point(route: Callable[[float], Sequence[float]], s: float) -> Array:
-    return finite_array(np.asarray(route(s)), f"route at s = {s:g} m", (2,))
+    return finite_array(route(s), f"route at s = {s:g} m", (2,))
 
 
 def _slope(route: Callable[[float], Sequence[float]], s: float, h: float, length: float) -> Array:

@@ -187,7 +187,7 @@ class Tendons(TendonTerm):
 
         ``drive``, ``name``, ``end``, ``friction``, ``disks`` and ``slip_speed`` as in the class.
         """
-        phases = np.deg2rad(finite_array(np.asarray(angles_deg), "Tendons angles_deg", (None,)))
+        phases = np.deg2rad(finite_array(angles_deg, "Tendons angles_deg", (None,)))
         routes = [Helix(offset, pitch, phase) for phase in phases.tolist()]
         return cls(routes, drive, name, end, friction, disks, slip_speed)
 
