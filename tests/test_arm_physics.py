@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
 from pisplit.generator import generator_edmd
+from pisplit.models import rod
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.recording import deviations_from_equilibrium, make_episodes, make_phase_samples
 from pisplit.models.arm.static_table import equilibrium_table
@@ -164,3 +166,30 @@ def test_tangent_samples_stay_close_to_rest_and_repeat(physics: ArmPhysics, opti
     positions = [i for i, name in enumerate(physics.arm.scene.field_map(STATIONS).names) if name.startswith("p_")]
     assert np.ptp(tangent.x[:, positions], axis=0).max() < 1e-4
     np.testing.assert_array_equal(tangent.u, np.tile(physics.arm.rest_inputs, (len(tangent), 1)))
+
+
+def test_the_order_of_the_measured_fields_does_not_matter(
+    physics: ArmPhysics, options: dict[str, Any], episodes: Episodes, d2: PhaseSamples
+) -> None:
+    order = np.random.default_rng(0).permutation(episodes.n_states)
+    turned = Episodes(
+        [x[:, order] for x in episodes.xs],
+        [u[:, ::-1] for u in episodes.us],
+        episodes.dt,
+        state_names=[(episodes.state_names or ())[i] for i in order],
+        input_names=(episodes.input_names or ())[::-1],
+        quantities=[(episodes.quantities or ())[i] for i in order],
+    )
+    models = [
+        PIEDMDc(physics.dictionary(), alpha=1e-4, penalty="ridge", split="hold", options=options).fit(d1, d2)
+        for d1 in (episodes, turned)
+    ]
+    np.testing.assert_allclose(models[1].lifted.A, models[0].lifted.A, rtol=0, atol=1e-9 * np.abs(models[0].K_).max())
+    assert models[1].score(episodes).median == pytest.approx(models[0].score(turned).median, rel=1e-6)
+
+
+def test_deviations_are_those_of_the_arm_that_moved(physics: ArmPhysics, episodes: Episodes) -> None:
+    scene = physics.arm.scene
+    stiffer = replace(physics.arm, scene=scene.replace(rod.QuadraticDrag(2e-4)))
+    with pytest.raises(ValueError, match="made by another arm"):
+        deviations_from_equilibrium(stiffer, episodes)

@@ -186,3 +186,23 @@ def test_bad_dictionaries_are_refused_in_one_line(build: Callable[[], object], m
     with pytest.raises(ValueError, match=message) as error:
         build()
     assert "\n" not in str(error.value)
+
+
+def test_a_function_finds_its_states_and_inputs_by_name() -> None:
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 2)
+    theta = Dictionary(
+        ob.Identity(),
+        ob.StateMap(ca.Function("f", [x], [x[0] - 2 * x[1]]), names="f", takes=("angle", "rate")),
+        ob.Equilibrium(ca.Function("g", [u], [u[0] - 2 * u[1]]), names="g", takes=("left", "right")),
+        n_states=2,
+        n_inputs=2,
+    )
+    names = {"state_names": ("rate", "angle"), "input_names": ("right", "left")}
+    data = Episodes([np.array([[3.0, 1.0]] * 3)], [np.array([[5.0, 7.0]] * 2)], 0.1, **names)
+    found = theta.named_after(data).evaluate(data.pairs())
+    columns = theta.named_after(data).column_names
+    assert found[0, columns.index("f")] == 1.0 - 2 * 3.0
+    assert found[0, columns.index("g")] == 7.0 - 2 * 5.0
+    other = Episodes([np.zeros((3, 2))], [np.zeros((2, 2))], 0.1, state_names=("rate", "height"))
+    with pytest.raises(ValueError, match="no states named angle of a function in it, but height"):
+        theta.named_after(other)

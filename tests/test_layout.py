@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 #: What a room may import besides ``pisplit.checks`` and itself. A name not listed here may not be imported.
 PISPLIT = {
     "data": set(),
-    "observables": {"regression"},
+    "observables": {"data", "regression"},
     "regression": set(),
     "dictionary": {"data", "observables"},
     "generator": {"data", "dictionary", "regression"},

@@ -43,13 +43,16 @@ class ArmPhysics:
     def dictionary(self) -> Dictionary:
         """Rod coordinates as states, the equilibrium under u as input features, now and one step ago."""
         scene = self.arm.scene
+        names = scene.field_map(self.stations).names
         return Dictionary(
             ob.Constant(),
             ob.RodCoordinates(scene, self.stations),
-            ob.Equilibrium(self.table.function, self.table.names, self.table.quantities),
+            ob.Equilibrium(self.table.function, self.table.names, self.table.quantities, scene.input_names),
             ob.Delays(inputs=1),
-            n_states=len(scene.field_map(self.stations).names),
+            n_states=len(names),
             n_inputs=scene.n_inputs,
+            state_names=names,
+            input_names=scene.input_names,
         )
 
     def options(self) -> dict[str, Any]:

@@ -373,7 +373,8 @@ def deviations_from_equilibrium(arm: Arm, episodes: Episodes) -> tuple[Array, Ar
     """Strains minus those at rest under the inputs of the moment, and strain rates, each (N, n_strains), of simulated
     episodes.
 
-    ``arm`` is the one that moved in ``episodes``.
+    ``arm`` is the one that moved in ``episodes``. Raises ValueError for episodes of another arm and for recordings of a
+    real one, whose strains nobody knows.
     """
     n = arm.scene.n_strains
     states = _simulated_states(arm, episodes)
@@ -393,6 +394,9 @@ def _simulated_states(arm: Arm, episodes: Episodes) -> Array:
     extra = episodes.extra or {}
     if "state" not in extra:
         raise ValueError("the episodes hold no states of a simulator (extra['state']); make them with make_episodes")
+    made = episodes.provenance or {}
+    if made.get("kind") == "episodes" and made.get("scene") != _fingerprint(arm.scene, made["stations"]):
+        raise ValueError("the episodes were made by another arm, or by this one before it was changed; give that arm")
     return finite_array(np.concatenate(list(extra["state"])), "extra['state']", (None, arm.scene.n_states))
 
 

@@ -75,6 +75,8 @@ def twin_dictionary(twin: Episodes, components: int = 0, centres: int = 0, delay
         ob.Bilinear(),
         n_states=twin.n_states,
         n_inputs=twin.n_inputs,
+        state_names=twin.state_names,
+        input_names=twin.input_names,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 
+from pisplit.data.columns import column_order
 from pisplit.observables.columns import Base, Columns, Names, Symbol, column_names
 
 
@@ -104,13 +105,17 @@ class StateMap(Base):
     """Columns ``function(x)`` of a CasADi Function x (n,) -> (p,), for instance a robot's own coordinates.
 
     ``names`` and ``quantities`` have p entries (quantities default to the names: each column its own scale).
+    ``takes`` (n,) names the states that the function takes, in its order: data may then have theirs in any other order,
+    and those with other names are refused; None takes them as they come.
     """
 
     function: ca.Function
     names: str | Sequence[str] = "map"
     quantities: Sequence[str] | None = None
+    takes: Sequence[str] | None = None
 
     def state_columns(self, x: Symbol, names: Names) -> Columns:
+        x = _taken(x, names.states, self.takes, "states")
         return _call(self.function, x, "x", self.names, self.quantities)
 
 
@@ -118,7 +123,7 @@ class CoordinateSource(Protocol):
     """A model that reads its own coordinates from measured states, such as a rod scene."""
 
     def coordinates(self, stations: Any) -> Any:
-        """An object with ``function`` (CasADi, x -> coordinates), ``names`` and ``quantities``.
+        """An object with ``function`` (CasADi, x -> coordinates), ``names``, ``quantities``, and ``takes``: names of x.
 
         ``stations`` are where the states are measured: arclengths [m] or their number.
         """
@@ -127,10 +132,10 @@ class CoordinateSource(Protocol):
 def RodCoordinates(scene: CoordinateSource, stations: Any = 6) -> StateMap:
     """Columns of a rod's own coordinates (strains and their rates) read from its fields measured at ``stations``.
 
-    ``scene`` is the rod, ``stations`` arclengths [m] or their number.
+    ``scene`` is the rod, ``stations`` arclengths [m] or their number. Fields are found by their names, in any order.
     """
     found = scene.coordinates(stations)
-    return StateMap(found.function, found.names, found.quantities)
+    return StateMap(found.function, found.names, found.quantities, found.takes)
 
 
 @dataclass(frozen=True)
@@ -138,17 +143,27 @@ class Equilibrium(Base):
     """Columns ``function(u)`` of a CasADi Function u (m,) -> (p,): features of the equilibrium x_eq(u) under u.
 
     The function may contain a rootfinder or an interpolant. ``names`` (p,) or one text; ``quantities`` default to one
-    scale for all features.
+    scale for all features. ``takes`` (m,) names the inputs that the function takes, in its order, as in
+    :class:`StateMap`.
     """
 
     function: ca.Function
     names: str | Sequence[str] = "x_eq"
     quantities: Sequence[str] | None = None
+    takes: Sequence[str] | None = None
 
     def input_columns(self, u: Symbol, names: Names) -> Columns:
         size = self.function.numel_out(0)
         quantities = ("x_eq",) * size if self.quantities is None else self.quantities
+        u = _taken(u, names.inputs, self.takes, "inputs")
         return _call(self.function, u, "u", self.names, quantities)
+
+
+def _taken(symbol: Symbol, given: Sequence[str], takes: Sequence[str] | None, what: str) -> Symbol:
+    """The entries of ``symbol``, which have the names ``given``, in the order that the function ``takes``."""
+    if takes is None:
+        return symbol
+    return symbol[column_order(given, takes, what, "the dictionary", "a function in it").tolist()]
 
 
 def _call(

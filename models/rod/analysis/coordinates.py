@@ -47,6 +47,11 @@ class StrainCoordinates(Rebuilt):
         return (*strains, *(name.replace("[", "_t[") for name in strains))
 
     @property
+    def takes(self) -> tuple[str, ...]:
+        """Names of the fields (24 S,), in the order in which ``function`` takes them."""
+        return self.scene.field_map(self.points).names
+
+    @property
     def quantities(self) -> tuple[str, ...]:
         """Scaling groups: all strains share one scale, all rates another."""
         return ("strain",) * self.scene.n_strains + ("strain_rate",) * self.scene.n_strains
