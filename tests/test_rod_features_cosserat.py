@@ -59,7 +59,7 @@ def test_a_jump_of_the_servos_moves_the_arm_as_small_fixed_steps_do(strains: str
     scene = rod.Scene(body, rod.Gravity((-9.81, 0, 0)), *damping, pulled, nodes=4)
     rest, commands = scene.statics().solve([0.001] * 3), np.tile(after, (4, 1))
     start = scene.state(rest.strains, np.zeros(scene.n_strains), commands[0])
-    exact = scene.stepper(0.03, step=2e-4).run(commands, start).fields([0.7144])[:, 0, :3]
+    exact = scene.stepper(0.03, step=2e-4).run(commands, start, check=False).fields([0.7144])[:, 0, :3]
     found = scene.simulator(0.03).run(commands, start)
     assert found.success
     assert np.linalg.norm(found.fields([0.7144])[:, 0, :3] - exact, axis=1).max() < 3e-4 * 0.7144

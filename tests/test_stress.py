@@ -49,7 +49,7 @@ def test_random_scenes_end_with_a_clean_status(described: Description) -> None:
     scene, dt, inputs = build(described | {"steps": 2})
     still = scene.statics().solve(inputs[0])
     assert np.all(np.isfinite(still.state)) and (still.success or "\n" not in still.message)
-    run = scene.simulator(dt).run(inputs, unloaded(scene))
+    run = scene.simulator(dt).run(inputs, unloaded(scene), check=False)
     assert np.all(np.isfinite(run.x)) and np.all(np.isfinite(run.fields(1)))
     assert run.success or (run.message.startswith("IDAS gave up") and "\n" not in run.message)
 

@@ -18,7 +18,7 @@ LENGTH, DENSITY = 0.5, 1200.0
 #: Nodes of the swept rods and of the arms; internal steps follow from the default tolerance.
 NODES, ARM_NODES = 3, 4
 #: Tolerance of the run that the error is measured against, and the internal steps beyond which there is none.
-FINER, LONGEST = 1e-5, 4000
+FINER, LONGEST = 1e-6, 20_000
 #: Names of the two arms: the paper's, and the same backbone with shear and stretch free and damped.
 ARMS = {"kirchhoff": "arm", "cosserat": "full arm"}
 

@@ -37,8 +37,8 @@ LEAST_FADING = 1e-3
 LEAST_SIZE, AT_REST = 1e-4, 1e-8
 #: Change of a scaled strain in motions for which the absolute tolerances are those of nominal sizes.
 TYPICAL = 0.3
-#: By how much the tolerance of the motion that checks another is smaller, and the least that IDAS takes.
-FINER, LEAST_RTOL = 0.1, 1e-12
+#: The least tolerance that IDAS takes.
+LEAST_RTOL = 1e-12
 #: Commands of a run by which its size is judged, and the step of differences of scaled strains.
 JUDGED, STEP = 64, 1e-6
 
@@ -64,12 +64,13 @@ class Simulator(Propagation):
     scheme = "IDAS"
     counters = ("nsteps", "nlinsetups", "netfails")
     remedy = "give a smaller rtol"
+    checked_steps = 5000
 
     def __init__(
         self,
         scene: Scene,
         dt: float,
-        rtol: float = 1e-4,
+        rtol: float = 1e-5,
         inputs: str = "ramp",
         stations: int | ArrayLike = 6,
         balance: str = "auto",
@@ -81,15 +82,24 @@ class Simulator(Propagation):
         self.inputs = one_of(inputs, "Simulator inputs", ("ramp", "step"))
         self.balance = balance
 
-    def _on(self, scene: Scene) -> Simulator:
-        rtol = max(FINER * self.rtol, LEAST_RTOL)
+    def _on(self, scene: Scene, finer: float = 0.1) -> Simulator:
+        rtol = max(finer * self.rtol, LEAST_RTOL)
         return Simulator(scene, self.dt, rtol, self.inputs, balance=self.balance)
 
-    def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] after each command.
+    @property
+    def setting(self) -> tuple[object, ...]:
+        return self.scheme, self.rtol, self.inputs
+
+    def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
+        """States [xi, xi_t] after each command: see ``Propagation.integrate``.
 
         One interval takes the first start (see ``_build``) that IDAS does; many take the first of all or fail, and
         ``run`` goes on interval by interval. Too much work is the fault of the motion: no other start is tried.
+
+        Args:
+            start: state [xi, xi_t, u] (n_states,).
+            commands: (T, n_inputs).
+            energy: whether to add the work of every term since the start.
         """
         n, steps = self.scene.n_strains, len(commands)
         if self.inputs == "ramp":
@@ -97,7 +107,7 @@ class Simulator(Propagation):
             slope = (commands - origin) / self.dt
         else:
             origin, slope = commands, np.zeros_like(commands)
-        controls = np.hstack([origin, slope, self.dt * np.arange(steps)[:, None]])
+        controls = np.hstack([origin - slope * self.dt * np.arange(steps)[:, None], slope])
         t = self.dt * np.arange(1, steps + 1)
         moving, level = start[n : 2 * n], self._level(start, commands) if steps > 1 else 0
         accelerations = np.asarray(self.equations.acceleration(start[:n], moving, origin[0])).ravel()
@@ -211,10 +221,10 @@ class Simulator(Propagation):
         n, m = scene.n_strains, scene.n_inputs
         deviation, z = ca.MX.sym("deviation", 2 * n), ca.MX.sym("z", n)
         start, fading = ca.MX.sym("start", 4 * n), ca.MX.sym("fading")
-        control, t = ca.MX.sym("control", 2 * m + 1), ca.MX.sym("t")
+        control, t = ca.MX.sym("control", 2 * m), ca.MX.sym("t")
         fade = ca.exp(-t / fading)
         x = start[: 2 * n] + fading * (1.0 - fade) * start[2 * n :] + deviation
-        u = control[:m] + control[m : 2 * m] * (t - control[2 * m])
+        u = control[:m] + control[m:] * t
         dae = {
             "x": deviation,
             "z": z,

@@ -14,17 +14,15 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.rod.analysis.fields import UNITS
 from pisplit.models.rod.answers import Unresolved
+from pisplit.models.rod.dynamics import motion_check
 from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
-from pisplit.models.rod.dynamics.motion_error import motion_error
+from pisplit.models.rod.dynamics.motion_check import SHARPER, reason
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.statics.resolution import Resolution
-
-#: Error of a motion, in parts of its travel, above which a run that is checked warns, and least one in parts of L.
-ALLOWED, LEAST = 1e-3, 1e-7
 
 
 @dataclass(frozen=True)
@@ -79,6 +77,8 @@ class Propagation(Rebuilt, ABC):
     counters: tuple[str, ...]
     #: What makes its steps smaller, in warnings.
     remedy: str
+    #: Internal steps at the start of a run that are checked without being asked: about a second of computing.
+    checked_steps: int
 
     def __init__(self, scene: Scene, dt: float, stations: int | ArrayLike, balance: str) -> None:
         self.scene = scene
@@ -88,40 +88,61 @@ class Propagation(Rebuilt, ABC):
         self._state: Array | None = None
 
     @abstractmethod
-    def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] after each command, with the work (n_terms) of the terms since the start when asked for.
+    def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
+        """States [xi, xi_t] (T, 2 n_strains) after each command, with the work (n_terms) of the terms if asked for.
+
+        Args:
+            start: state [xi, xi_t, u] (n_states,).
+            commands: (T, n_inputs).
+            energy: whether to add the work of every term since the start.
 
         Raises RuntimeError when the scheme gives up.
         """
 
     @abstractmethod
-    def _on(self, scene: Scene) -> Propagation:
-        """The same scheme with smaller errors in time on another grid of the scene."""
+    def _on(self, scene: Scene, finer: float = 0.1) -> Propagation:
+        """The same scheme on another grid of the scene, with errors in time of about ``finer`` of its own."""
+
+    @property
+    @abstractmethod
+    def setting(self) -> tuple[object, ...]:
+        """What tells simulators of one scene apart, of which checks of their motions hold."""
 
     @cached_property
     def finer(self) -> Propagation:
         """The same motion on two more nodes an element and with smaller errors in time, by which ``run`` checks."""
-        return self._on(self._resolution.finer)
+        return self._on(self.resolution.finer)
 
     @cached_property
-    def _resolution(self) -> Resolution:
+    def sharper(self) -> Propagation:
+        """The same motion on the same nodes with smaller errors in time, by which a first ``run`` is checked."""
+        return self._on(self.scene, SHARPER)
+
+    @cached_property
+    def resolution(self) -> Resolution:
+        """Error of the grid of the equations at rest."""
         return self.equations.statics().resolution
 
     # Trajectories ----------------------------------------------------------------------------------------------------
 
     @in_turn("equations")
-    def run(self, u: ArrayLike, x0: ArrayLike | None = None, energy: bool = False, check: bool = False) -> Trajectory:
+    def run(
+        self, u: ArrayLike, x0: ArrayLike | None = None, energy: bool = False, check: bool | None = None
+    ) -> Trajectory:
         """Trajectory under a sequence of commands; the plant stays where it is.
 
         Inputs that ramp start where ``x0`` has them and reach ``u[k]`` at the end of step k. An integrator that gives
-        up ends the trajectory at the last good step (``success=False``); it never raises.
+        up ends the trajectory at the last good step (``success=False``); it never raises. An error above 1e-3 of the
+        travel is warned of (``Unresolved``) where it is looked for, with the step from which on.
 
         Args:
             u: commands (T, n_inputs).
             x0: state [xi, xi_t, u] (n_states,) to start from, at rest under zero inputs when not given.
             energy: whether to integrate the work of every term along the way, for ``Trajectory.energy()``.
-            check: whether to move the scene once more on a finer grid in space and time (2 to 5 times the cost) for
-                ``Trajectory.error``; above 1e-3 of the travel it warns (``Unresolved``) and names the step.
+            check: True moves the scene once more on a finer grid in space and time (2 to 5 times the cost) for
+                ``Trajectory.error``. None looks for errors in time, in the first run of a scene and in those that are
+                longer, larger or rougher than the ones before, over their first 5000 internal steps (a stepper: 1000;
+                2 to 3 times the cost of these). False looks for nothing.
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
@@ -130,7 +151,7 @@ class Propagation(Rebuilt, ABC):
             raise ValueError("u has no rows; give at least one command")
         start = self._rest(None) if x0 is None else finite_array(x0, "x0", (self.scene.n_states,))
         try:
-            states, stats = self._integrate(start, commands, energy)
+            states, stats = self.integrate(start, commands, energy)
             success, message = True, ""
         except RuntimeError:
             states, stats, message = self._as_far_as_possible(start, commands, energy)
@@ -146,26 +167,15 @@ class Propagation(Rebuilt, ABC):
             scene=self.equations,
             work=np.vstack([np.zeros(states.shape[1] - size), states[:, size:]]) if energy else None,
         )
-        return self._checked(found) if check else found
-
-    def _checked(self, found: Trajectory) -> Trajectory:
-        """``found`` with its error; warns where that is large, or where there is nothing to compare with."""
-        start = self._resolution.on_finer(found.x[0])
-        finer = self.finer.run(found.u, start) if len(found.u) else None
-        if finer is None or not finer.success:
-            why = "it has no steps" if finer is None else f"the finer motion ends: {finer.message}"
-            warnings.warn(f"the motion cannot be checked: {why}", Unresolved, stacklevel=4)
-            return found
-        error = motion_error(found, finer)
-        step = error.first_above(ALLOWED, LEAST * self.scene.rod.length)
-        if step is not None:
-            warnings.warn(
-                f"the motion is off by {error.of_travel:.1g} of its travel, by more than {ALLOWED:g} from step {step} "
-                f"(t = {step * self.dt:g} s) on; {self.remedy}, or more nodes than {self.scene.nodes}",
-                Unresolved,
-                stacklevel=4,
-            )
-        return replace(found, error=error)
+        told = ""
+        if check:
+            error, told = motion_check.checked(self, found)
+            found = replace(found, error=error)
+        elif check is None and done > 1 and motion_check.is_new(self, found):
+            told = motion_check.checked_in_time(self, found)
+        if told:
+            warnings.warn(told, Unresolved, stacklevel=3)
+        return found
 
     def _as_far_as_possible(self, start: Array, commands: Array, energy: bool) -> tuple[Array, dict[str, int], str]:
         """Step by step until a step fails."""
@@ -176,9 +186,9 @@ class Propagation(Rebuilt, ABC):
         state, work = start, np.zeros(width - size)
         for k, command in enumerate(commands):
             try:
-                found, stats = self._integrate(state, command[None, :], energy)
+                found, stats = self.integrate(state, command[None, :], energy)
             except RuntimeError as error:
-                message = f"{self.scheme} gave up in step {k} at t = {k * self.dt:g} s: {_reason(error)}"
+                message = f"{self.scheme} gave up in step {k} at t = {k * self.dt:g} s: {reason(error)}"
                 return np.array(states).reshape(len(states), width), total, message
             work = work + found[0, size:]
             states.append(np.concatenate([found[0, :size], work]))
@@ -251,11 +261,11 @@ class Propagation(Rebuilt, ABC):
         """
         command = self.scene.checked_inputs(u, "u", (self.scene.n_inputs,))
         try:
-            found, _ = self._integrate(self._present(), command[None, :])
+            found, _ = self.integrate(self._present(), command[None, :])
             state = np.concatenate([found[0], command])
             measured = self._measure(state)
         except (RuntimeError, ValueError) as error:
-            return Step(self._measure(self._present()), False, f"{self.scheme} gave up: {_reason(error)}")
+            return Step(self._measure(self._present()), False, f"{self.scheme} gave up: {reason(error)}")
         self._state = state
         return Step(measured, True)
 
@@ -297,10 +307,3 @@ class Propagation(Rebuilt, ABC):
         if not equilibrium.success:
             raise RuntimeError(f"no rest position to start from: {equilibrium.message}")
         return equilibrium.state
-
-
-def _reason(error: Exception) -> str:
-    """The part of CasADi's message that names the failure."""
-    text = str(error)
-    start = text.find("returned")
-    return text[start:].split(".")[0] if start >= 0 else text.strip().splitlines()[-1]

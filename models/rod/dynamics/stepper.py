@@ -44,6 +44,7 @@ class Stepper(Propagation):
     scheme = "Gauss"
     counters = ("nsteps", "iterations", "halvings")
     remedy = "give a smaller step"
+    checked_steps = 1000
 
     def __init__(
         self,
@@ -63,7 +64,11 @@ class Stepper(Propagation):
             raise ValueError(f"Stepper stages = {stages}; expected 1, 2 or 3")
         self.balance = balance
 
-    def _on(self, scene: Scene) -> Stepper:
+    @property
+    def setting(self) -> tuple[object, ...]:
+        return self.scheme, self.dt / self.substeps, self.stages
+
+    def _on(self, scene: Scene, finer: float = 0.1) -> Stepper:
         half = self.dt / (2 * self.substeps)
         return Stepper(scene, self.dt, half, self.stages, self.tolerance, balance=self.balance)
 
@@ -74,7 +79,14 @@ class Stepper(Propagation):
 
     # Trajectories ----------------------------------------------------------------------------------------------------
 
-    def _integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
+    def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
+        """States [xi, xi_t] after each command: see ``Propagation.integrate``.
+
+        Args:
+            start: state [xi, xi_t, u] (n_states,).
+            commands: (T, n_inputs).
+            energy: whether to add the work of every term since the start.
+        """
         n = self.scene.n_strains
         x, before = start[: 2 * n], start[2 * n :]
         march, taken = March(self.collocation, self.tolerance), 0
