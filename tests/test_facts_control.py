@@ -71,3 +71,13 @@ def test_a_prediction_that_is_not_finite_in_any_entry_is_no_problem_to_solve(los
     still = problem.hold(np.zeros(1))
     assert problem.solve(free, np.zeros(5), np.zeros(1), still).status == "prediction not finite"
     assert problem.solve(np.zeros(5), np.zeros(5), np.zeros(1), still).x == pytest.approx(np.zeros(5), abs=1e-4)
+
+
+def test_the_first_solve_has_its_own_limit_of_iterations() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(6, 6))
+    P, A = np.eye(6) * np.logspace(0, 6, 6), q
+    settings = QPSettings(eps=1e-12, max_iterations=10, first_max_iterations=20)
+    problem = QP(P, A, settings=settings)
+    ends = [problem.solve(np.ones(6), np.full(6, 1.0), np.full(6, 2.0)).iterations for _ in range(2)]
+    assert ends == [20, 10]

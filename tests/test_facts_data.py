@@ -15,7 +15,7 @@ from pisplit import Episodes, PhaseSamples
 from pisplit.data.clock import _check_increasing, seconds
 from pisplit.data.episode_checks import _misfit
 from pisplit.data.input_subspace import excited_directions
-from pisplit.data.recordings import _jitter, _step
+from pisplit.data.recordings import _jitter, _say_what_is_held, _step
 from pisplit.data.resampling import Signal, _both, pieces
 from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
@@ -321,3 +321,17 @@ def test_the_command_that_comes_late_is_named() -> None:
 def test_small_inputs_are_excited_like_large_ones() -> None:
     inputs = np.random.default_rng(0).normal(size=(50, 2))
     assert excited_directions(1e-9 * inputs)[1].shape == excited_directions(1e3 * inputs)[1].shape == (2, 2)
+
+
+def test_the_end_of_a_command_that_is_read_there_is_no_gap() -> None:
+    t, nan = np.arange(6.0), np.nan
+    command = np.array([[0.0], [1.0], [nan], [nan], [nan], [2.0]])  # read 1 s and 4 s apart: the median is 2.5 s
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _say_what_is_held(t, command, ["u"], 1.0, None)
+
+
+def test_a_command_that_holds_over_a_step_is_itself_to_the_last_digit() -> None:
+    rng = np.random.default_rng(0)
+    times, values = np.arange(40.0), rng.normal(size=(40, 2))
+    np.testing.assert_array_equal(Signal(np.arange(2), times, values).held(np.arange(41.0)), values)

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pisplit import Dictionary, Episodes, LiftedModel, PhaseSamples, modes
+from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, modes
 from pisplit import observables as ob
 from pisplit.generator import generator_edmd, half_step
 from pisplit.lifted.formats import _labels, state_space_matrices
@@ -131,3 +131,20 @@ def test_phase_samples_of_another_system_are_refused_by_the_generator() -> None:
         half_step(theta, samples, 0.5, np.ones(3), "generator")
     with pytest.raises(ValueError, match="phase samples have 3 states and 1 inputs; the dictionary expects 2 and 1"):
         generator_edmd(theta, samples, np.ones(3))
+
+
+def test_an_output_is_of_states_that_are_there() -> None:
+    known = model(np.diag([0.5, 0.9]))
+    assert replace(known, outputs={"last": (1,)}).outputs == {"last": (1,)}
+    with pytest.raises(ValueError, match=r"expected state indices from 0 to 1"):
+        replace(known, outputs={"beyond": (2,)})
+
+
+def test_a_read_out_does_not_depend_on_how_often_the_same_is_recorded() -> None:
+    rng = np.random.default_rng(2)
+    x = np.cumsum(rng.normal(size=(40, 1)), axis=0)
+    twice = [ob.Expression(lambda x, u, k=k: ca.sin(x) + 1e-6 * k * ca.cos(x), name=f"s{k}") for k in range(2)]
+    theta = Dictionary(*twice, n_states=1, n_inputs=1)  # all but collinear: the ridge of the read-out matters
+    runs = [Episodes([x] * n, [np.zeros((39, 1))] * n, 0.1) for n in (1, 400)]
+    once, often = (LinearEDMDc(theta, 1e-3).fit(data).lifted.C for data in runs)
+    np.testing.assert_allclose(often, once, rtol=1e-6)

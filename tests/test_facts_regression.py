@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -277,3 +278,13 @@ def test_small_weights_of_a_lasso_are_a_lasso() -> None:
     found = penalised(a, y, 0.5, "lasso")
     np.testing.assert_allclose(found.K, lasso(a, y, 0.5).K, atol=1e-10)
     assert found.gaps is not None
+
+
+def test_a_target_that_is_known_whole_has_no_gap() -> None:
+    a, y = orthonormal(30, 3), np.random.default_rng(1).normal(size=(30, 2))
+    free = np.array([[True, True, True], [False, False, False]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = lasso(a, y, 0.1, prior=np.ones((2, 3)), free=free)
+    assert found.gaps is not None and found.gaps[1] == 0.0
+    np.testing.assert_array_equal(found.K[1], 1.0)

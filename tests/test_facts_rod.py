@@ -129,3 +129,8 @@ def test_friction_of_a_gentle_bend_does_not_depend_on_the_size_of_the_arm() -> N
         bent = [s.statics().solve(pull).state[: s.n_strains] for s in (scene, free)]
         shares.append(bent[0] / bent[1])
     assert shares[0] == pytest.approx(shares[1], rel=1e-9) and shares[0].min() < 1.0 - 1e-6
+
+
+def test_free_strains_may_be_given_as_a_list() -> None:
+    given = rod.StrainSet("in the plane", [1])  # type: ignore[arg-type]
+    assert given.free == (1,) and hash(given) == hash(rod.StrainSet("in the plane", (1,)))

@@ -122,3 +122,19 @@ def test_a_half_step_that_overflows_is_refused_or_gives_way_to_the_flow() -> Non
     assert moved.kind == "flow"
     assert "overflows" in moved.reason
     np.testing.assert_allclose(moved.K, [[0.5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("held", [-0.3, 0.3])
+def test_an_input_that_only_rounds_says_nothing_of_its_effect(held: float) -> None:
+    x = RNG.uniform(-1, 1, (40, 2))
+    u = held + 1e-12 * RNG.integers(-1, 2, (40, 1))
+    samples = PhaseSamples(x, u, np.column_stack([-x[:, 0] + 2.0 * u[:, 0], x[:, 0] - x[:, 1]]))
+    found = generator_edmd(Dictionary(ob.Identity(), n_states=2, n_inputs=1), samples, np.ones(3))
+    np.testing.assert_array_equal(found[:, 2], 0.0)
+
+
+def test_a_tiny_input_that_varies_is_no_constant() -> None:
+    x, u = RNG.uniform(-1, 1, (40, 1)), 1e-11 * RNG.uniform(-1, 1, (40, 1))
+    theta = Dictionary(ob.Constant(), ob.Identity(), n_states=1, n_inputs=1)
+    found = generator_edmd(theta, PhaseSamples(x, u, 1e11 * u - x), np.ones(3))
+    np.testing.assert_allclose(found[1], [0.0, -1.0, 1e11], rtol=1e-6, atol=1e-9)
