@@ -1,6 +1,6 @@
 """Linear MPC on a lifted model and closed loops on a plant."""
 
-from pisplit.controllers import references
+from pisplit.controllers import plants, references
 from pisplit.controllers.feedforward import FeedForward
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.loop import ClosedLoop
@@ -24,5 +24,6 @@ __all__ = [
     "QPSettings",
     "Reference",
     "condense",
+    "plants",
     "references",
 ]

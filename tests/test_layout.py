@@ -32,6 +32,7 @@ CONTROLLERS = {
     "mpc": {"estimation", "loop"},
     "feedforward": {"loop", "mpc"},
     "references": set(),
+    "plants": {"loop"},
 }
 ROD = {
     "kinematics": set(),
