@@ -65,6 +65,7 @@ class Simulator(Propagation):
     counters = ("nsteps", "nlinsetups", "netfails")
     remedy = "give a smaller rtol"
     checked_steps = 5000
+    damps_waves = True
 
     def __init__(
         self,

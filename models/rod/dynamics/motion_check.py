@@ -1,4 +1,4 @@
-"""Motions are checked: on request on a finer grid in space and time, the first ones of a scene in time alone."""
+"""Motions are checked: on request by moving on a finer grid in space and time, the first ones of a scene by less."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ if TYPE_CHECKING:
 #: Error of a motion, in parts of its travel, that is told of, and the least one in parts of L.
 ALLOWED, LEAST = 1e-3, 1e-7
 #: By how much smaller the errors in time are of the motion by which one is checked without being asked, and what part
-#: of its error the distance of both shows at least (errors fall with the tolerance to the power 2/3 or faster).
+#: of its error the distance of both shows at least (errors fall with the tolerance to the power 2/3 or faster). Errors
+#: in space are held to be seen in the same part.
 SHARPER = 0.2
 SEEN = 1.0 - SHARPER ** (2.0 / 3.0)
+#: Commands at the start of a run over which it is checked in space.
+LONGEST = 500
 
 
 def is_new(plant: Propagation, found: Trajectory) -> bool:
@@ -31,20 +34,38 @@ def is_new(plant: Propagation, found: Trajectory) -> bool:
     return known.setdefault(plant.setting, Checked()).is_new(Extent.of(found, nominal))
 
 
-def checked_in_time(plant: Propagation, found: Trajectory) -> str:
-    """What is wrong with the motion ``found`` of ``plant`` in time, empty where nothing is.
+def checked_first(plant: Propagation, found: Trajectory) -> tuple[MotionError | None, str]:
+    """Estimated error of the motion ``found`` of ``plant``, and what is wrong with it, empty where nothing is.
 
-    The same commands once more with smaller steps on the same nodes, as far as ``plant.checked_steps`` internal steps
-    went; where that takes more than one call it is given up.
+    In time: the same commands once more with smaller steps on the same nodes, as far as ``plant.checked_steps``
+    internal steps went; given up where that takes more than one call. In space: see ``SpaceError``, over 500 commands,
+    where the scheme damps waves that it does not resolve (their accelerations would be taken for errors of the grid).
+    The error is that of both together; None where it is not known over the whole motion.
     """
     steps = int(np.ceil(len(found.u) * min(1.0, plant.checked_steps / max(1, found.stats["nsteps"]))))
-    part = replace(found, t=found.t[: steps + 1], x=found.x[: steps + 1], u=found.u[:steps])
+    part, long = _first(found, steps), _first(found, LONGEST)
+    in_space = _grown(plant.space_error.of(long)) if plant.damps_waves else None
+    wrong = ["" if in_space is None else told(plant, in_space, f"give more nodes than {plant.scene.nodes}")]
     try:
         states, _ = plant.sharper.integrate(part.x[0], part.u)
     except RuntimeError as failure:
-        return f"the motion cannot be checked: {plant.scheme} gives up with smaller steps: {reason(failure)}"
-    error = motion_error(part, replace(part, x=np.vstack([part.x[0], np.hstack([states, part.u])])))
-    return told(plant, replace(error, distance=error.distance / SEEN), plant.remedy)
+        wrong.insert(0, f"the motion cannot be checked: {plant.scheme} gives up with smaller steps: {reason(failure)}")
+        return None, "; ".join(w for w in wrong if w)
+    in_time = motion_error(part, replace(part, x=np.vstack([part.x[0], np.hstack([states, part.u])])))
+    wrong.insert(0, told(plant, _grown(in_time), plant.remedy))
+    error = None
+    if in_space is not None and len(part.t) == len(long.t) == len(found.t):
+        error = replace(in_space, distance=in_space.distance + in_time.distance / SEEN)
+    return error, "; ".join(w for w in wrong if w)
+
+
+def _first(found: Trajectory, steps: int) -> Trajectory:
+    return replace(found, t=found.t[: steps + 1], x=found.x[: steps + 1], u=found.u[:steps])
+
+
+def _grown(error: MotionError) -> MotionError:
+    """An error of which the part ``SEEN`` is seen; what the start is off by is."""
+    return replace(error, distance=error.distance[0] + (error.distance - error.distance[0]) / SEEN)
 
 
 def checked(plant: Propagation, found: Trajectory) -> tuple[MotionError | None, str]:
@@ -63,8 +84,9 @@ def told(plant: Propagation, error: MotionError, remedy: str) -> str:
     step = error.first_above(ALLOWED, LEAST * plant.scene.rod.length)
     if step is None:
         return ""
+    far = f"{error.of_travel:.1g} of its travel" if error.of_travel < 1.0 else "as much as it travels"
     return (
-        f"the motion is off by {error.of_travel:.1g} of its travel, by more than {ALLOWED:g} from step {step} "
+        f"the motion is off by {far}, by more than {ALLOWED:g} from step {step} "
         f"(t = {step * plant.dt:g} s) on; {remedy}"
     )
 

@@ -17,6 +17,7 @@ from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.dynamics import motion_check
 from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
 from pisplit.models.rod.dynamics.motion_check import SHARPER, reason
+from pisplit.models.rod.dynamics.space_error import SpaceError
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 
@@ -79,6 +80,8 @@ class Propagation(Rebuilt, ABC):
     remedy: str
     #: Internal steps at the start of a run that are checked without being asked: about a second of computing.
     checked_steps: int
+    #: Whether waves that the steps do not resolve fade, as they do in the rod.
+    damps_waves: bool
 
     def __init__(self, scene: Scene, dt: float, stations: int | ArrayLike, balance: str) -> None:
         self.scene = scene
@@ -119,6 +122,11 @@ class Propagation(Rebuilt, ABC):
         return self._on(self.scene, SHARPER)
 
     @cached_property
+    def space_error(self) -> SpaceError:
+        """Error of the grid of the equations in motion."""
+        return SpaceError(self.resolution)
+
+    @cached_property
     def resolution(self) -> Resolution:
         """Error of the grid of the equations at rest."""
         return self.equations.statics().resolution
@@ -140,9 +148,9 @@ class Propagation(Rebuilt, ABC):
             x0: state [xi, xi_t, u] (n_states,) to start from, at rest under zero inputs when not given.
             energy: whether to integrate the work of every term along the way, for ``Trajectory.energy()``.
             check: True moves the scene once more on a finer grid in space and time (2 to 5 times the cost) for
-                ``Trajectory.error``. None looks for errors in time, in the first run of a scene and in those that are
-                longer, larger or rougher than the ones before, over their first 5000 internal steps (a stepper: 1000;
-                2 to 3 times the cost of these). False looks for nothing.
+                ``Trajectory.error``. None estimates both errors in the first run of a scene and in those that are
+                longer, larger or rougher than the ones before, over their first 500 commands and, in time, 5000
+                internal steps (a stepper: 1000; 2 to 4 times the cost of these). False looks for nothing.
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
@@ -168,11 +176,12 @@ class Propagation(Rebuilt, ABC):
             work=np.vstack([np.zeros(states.shape[1] - size), states[:, size:]]) if energy else None,
         )
         told = ""
+        error = None
         if check:
             error, told = motion_check.checked(self, found)
-            found = replace(found, error=error)
         elif check is None and done > 1 and motion_check.is_new(self, found):
-            told = motion_check.checked_in_time(self, found)
+            error, told = motion_check.checked_first(self, found)
+        found = replace(found, error=error)
         if told:
             warnings.warn(told, Unresolved, stacklevel=3)
         return found

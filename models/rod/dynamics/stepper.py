@@ -45,6 +45,7 @@ class Stepper(Propagation):
     counters = ("nsteps", "iterations", "halvings")
     remedy = "give a smaller step"
     checked_steps = 1000
+    damps_waves = False
 
     def __init__(
         self,

@@ -24,7 +24,7 @@ class Trajectory:
         success: False when the integrator gave up; t, x and u then end at the last good step.
         message: why it gave up, empty on success.
         stats: counters of the scheme over the steps that succeeded (``nsteps`` and others), zeros when none did.
-        error: estimated error, when ``run`` was asked to check the motion.
+        error: estimated error, when ``run`` was asked to check the motion or looked for it over all of it.
         work: (T+1, n_terms) work in J of every term since the start, when ``run`` was asked for the energy.
         scene: the scene whose equations moved.
     """

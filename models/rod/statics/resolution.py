@@ -57,11 +57,11 @@ class Resolution(Rebuilt):
         Infinite where the finer balance has no slopes (at the load at which the rod buckles), or overflows.
         """
         n, u = self.scene.n_strains, state[2 * self.scene.n_strains :]
-        better = self._interpolated(state[:n])
+        better = self.interpolated(state[:n])
         better = better + self._newton_step(better, u)
         if not np.isfinite(better).all():
             return float("inf")
-        here, there = (np.asarray(f(x, u)) for f, x in zip(self._shapes, (state[:n], better), strict=True))
+        here, there = (np.asarray(f(x, u)) for f, x in zip(self.shapes, (state[:n], better), strict=True))
         return float(np.linalg.norm(here - there, axis=0).max()) / self.scene.rod.length
 
     def check(self, states: Array) -> None:
@@ -101,40 +101,42 @@ class Resolution(Rebuilt):
         """Grids of more and more nodes, and the equilibrium near ``state`` on each."""
         here, u = self, state[2 * self.scene.n_strains :]
         while max(here.scene.element_nodes) + MORE <= MOST:
-            xi = here._root_near(here._interpolated(state[: here.scene.n_strains]), u)
+            xi = here._root_near(here.interpolated(state[: here.scene.n_strains]), u)
             if xi is None:
                 return
             here, state = Resolution(here.finer), np.concatenate([xi, np.zeros_like(xi), u])
             yield here, state
 
     def on_finer(self, state: Array) -> Array:
-        """``state`` [xi, xi_t, u] on the finer grid: an equilibrium goes to the one there, others are interpolated."""
+        """``state`` [xi, xi_t, u] on the finer grid: rates are interpolated, and strains so that forces are.
+
+        An equilibrium so goes to the one there; what is let go is pulled back by what pulled it on its own grid.
+        """
         n = self.scene.n_strains
-        xi, rates, u = self._interpolated(state[:n]), self._interpolated(state[n : 2 * n]), state[2 * n :]
-        if not np.any(rates):
-            residual = np.asarray(self._balance(state[:n], u)).ravel()
-            root = self._root_near(xi, u) if np.abs(residual).max() < BALANCED else None
-            xi = xi if root is None else root
-        return np.concatenate([xi, rates, u])
+        xi, rates, u = self.interpolated(state[:n]), self.interpolated(state[n : 2 * n]), state[2 * n :]
+        force = self.interpolated(np.asarray(self._balance(state[:n], u)).ravel())
+        root = self._root_near(xi, u, 0.0 if np.abs(force).max() < BALANCED else force)
+        return np.concatenate([xi if root is None else root, rates, u])
 
-    def _interpolated(self, values: Array) -> Array:
-        """Strains or rates (n,) at the nodes of the finer grid."""
-        at_nodes = values.reshape(self.scene.nodes, -1)
-        return np.asarray(self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes).ravel()
+    def interpolated(self, values: Array) -> Array:
+        """Strains or their rates ``values`` (..., n) at the nodes of the finer grid."""
+        at_nodes = values.reshape(*values.shape[:-1], self.scene.nodes, -1)
+        finer = self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes
+        return np.asarray(finer).reshape(*values.shape[:-1], -1)
 
-    def _root_near(self, xi: Array, u: Array) -> Array | None:
-        """Equilibrium (n,) of the finer grid near strains ``xi``, None where the steps overflow."""
+    def _root_near(self, xi: Array, u: Array, force: Array | float = 0.0) -> Array | None:
+        """Strains (n,) of the finer grid near ``xi`` with the residual ``force``, None where the steps overflow."""
         for _ in range(STEPS):
-            xi = xi + self._newton_step(xi, u)
+            xi = xi + self._newton_step(xi, u, force)
         return xi if np.isfinite(xi).all() else None
 
-    def _newton_step(self, xi: Array, u: Array) -> Array:
+    def _newton_step(self, xi: Array, u: Array, force: Array | float = 0.0) -> Array:
         """Change of the strains ``xi`` (n,) on the finer grid by one Newton step; slopes by differences."""
         unit = self.finer.nominal_strains
         probes = np.vstack([np.zeros(len(xi)), STEP * np.eye(len(xi))]) * unit
         values = np.asarray(self._balances((xi + probes).T, u)).T
         try:
-            step: Array = -unit * np.linalg.solve((values[1:] - values[0]).T / STEP, values[0])
+            step: Array = -unit * np.linalg.solve((values[1:] - values[0]).T / STEP, values[0] - force)
         except np.linalg.LinAlgError:
             return np.full(len(xi), np.inf)
         return step
@@ -153,7 +155,7 @@ class Resolution(Rebuilt):
         return ca.Function("own", [xi, u], [balance.residual / ca.DM(self.scene.nominal_residual)])
 
     @cached_property
-    def _shapes(self) -> tuple[ca.Function, ca.Function]:
+    def shapes(self) -> tuple[ca.Function, ca.Function]:
         """``(xi, u) -> positions`` (3, POINTS) on both grids."""
         points = (self.scene.rod.length * np.arange(1, POINTS + 1) / POINTS).tolist()
         made = []

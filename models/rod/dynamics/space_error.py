@@ -1,0 +1,104 @@
+"""Are the nodes enough for a motion? Its error in space, by linear dynamics on a finer grid that its defect drives."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+
+from pisplit.checks import Array
+from pisplit.models.rod.dynamics.motion_error import POINTS, MotionError
+from pisplit.models.rod.dynamics.trajectory import Trajectory
+from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.terms.loads import NoEffect
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.statics.resolution import Resolution
+
+#: Times at which the finer equations are linearised, and change of a scaled unknown by which they are differentiated.
+ANCHORS, STEP = 5, 1e-5
+#: Retardation in parts of the interval: waves far faster than that fade, whose defects the outputs do not sample.
+FADING = 0.01
+
+
+class SpaceError(Rebuilt):
+    """Error of the grid of a motion.
+
+    Strains, rates and accelerations are taken to two more nodes an element, where they leave a defect r(t). The error
+    follows M d'' + D d' + S d = -r with the mass, damping and stiffness of the finer grid at a few states of the motion
+    (defect correction); r is linear from one output to the next. So phases that drift are seen, not the bend alone.
+
+    Args:
+        resolution: the grid of the equations that move, and the finer one.
+    """
+
+    def __init__(self, resolution: Resolution) -> None:
+        self.resolution = resolution
+        self.scene, self.finer = resolution.scene, resolution.finer
+
+    def of(self, found: Trajectory) -> MotionError:
+        """Estimated distance (T+1,) in m, largest along the rod, of ``found`` from the motion without error in space.
+
+        Infinite where it overflows.
+        """
+        n, fine, steps = self.scene.n_strains, self.finer.n_strains, len(found.t)
+        states = [self.resolution.interpolated(found.x[:, k * n : (k + 1) * n]) for k in (0, 1)]
+        given = found.x[:, :n].T, found.x[:, n : 2 * n].T, found.x[:, 2 * n :].T
+        bends = np.asarray(self.scene.acceleration.map(steps)(*given)).T
+        motion = np.hstack([*states, self.resolution.interpolated(bends)])
+        defects = np.asarray(self._defect.map(steps)(motion.T, given[2])).T
+        defects[0] = defects[min(1, steps - 1)]  # what is let go is fast at first, and soon slow
+        deviation = np.zeros((steps, fine))
+        state = np.concatenate([self.resolution.on_finer(found.x[0])[:fine] - states[0][0], np.zeros(fine)])
+        deviation[0] = state[:fine]
+        anchors = np.unique(np.linspace(min(1, steps - 1), steps - 1, ANCHORS).astype(int))
+        nearest = np.abs(np.arange(steps)[:, None] - anchors).argmin(axis=1)
+        flows = {k: self._flow(motion[k], found.x[k, 2 * n :], found.t[1]) for k in anchors}
+        for k in range(1, steps):
+            flow = flows[anchors[nearest[k]]]
+            state = flow @ np.concatenate([state, defects[k - 1], defects[k] - defects[k - 1]])
+            deviation[k] = state[:fine]
+        here, there = (
+            np.asarray(shapes.map(steps)(strains.T, given[2])).T.reshape(steps, POINTS, 3)
+            for shapes, strains in zip(self.resolution.shapes, (found.x[:, :n], states[0] + deviation), strict=True)
+        )
+        distance = np.nan_to_num(np.linalg.norm(here - there, axis=2).max(axis=1), nan=np.inf)
+        return MotionError(distance, float(np.linalg.norm(here - here[0], axis=2).max()))
+
+    def _flow(self, motion: Array, u: Array, dt: float) -> Array:
+        """(2 n, 4 n) from the deviation, the defect and its change over ``dt`` to the deviation ``dt`` later."""
+        n = self.finer.n_strains
+        unit = np.tile(self.finer.nominal_strains, 3) * np.repeat(self._rate ** np.arange(3), n)
+        probes = STEP * np.vstack([np.eye(3 * n), -np.eye(3 * n)]) * unit
+        after, before = np.split(np.asarray(self._defect.map(len(probes))((motion + probes).T, u)).T, 2)
+        slopes = ((after - before) / (2.0 * STEP * unit[:, None])).T
+        try:
+            of_shape, of_rate, of_defect = np.split(
+                -np.linalg.solve(slopes[:, 2 * n :], np.hstack([slopes[:, : 2 * n], np.eye(n)])), 3, axis=1
+            )
+        except np.linalg.LinAlgError:
+            return np.full((2 * n, 4 * n), np.inf)
+        generator = np.zeros((4 * n, 4 * n))
+        generator[:n, n : 2 * n] = np.eye(n)
+        generator[n : 2 * n, : 3 * n] = np.hstack([of_shape, of_rate + FADING * dt * of_shape, of_defect])
+        generator[2 * n : 3 * n, 3 * n :] = np.eye(n) / dt
+        flow: Array = expm(generator * dt)[: 2 * n]
+        return flow
+
+    @property
+    def _rate(self) -> float:
+        """Typical rate in 1/s by which rates and accelerations are scaled."""
+        return float(self.finer.rod.bending_rate)
+
+    @cached_property
+    def _defect(self) -> ca.Function:
+        """``(motion, u) -> residual`` of the finer grid in scaled form; ``motion``: strains, rates, accelerations."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoEffect)  # said by the scene itself
+            xi, xi_t, xi_tt, u, balance = self.finer.dynamic_balance
+        residual = balance.residual / ca.DM(self.finer.nominal_residual)
+        return ca.Function("defect", [ca.vertcat(xi, xi_t, xi_tt), u], [residual], {"cse": True})
