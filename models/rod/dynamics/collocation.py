@@ -45,7 +45,7 @@ class Collocation(Rebuilt):
     @cached_property
     def newton(self) -> ca.Function:
         """``(x, u0, u1, h, z) -> z, last two corrections, inverse matrix``: iterations with a new matrix."""
-        x, u0, u1, h, z = self._symbols
+        x, u0, u1, h, z = self.symbols
         n, s = self.equations.n_strains, self.stages
         residual = self.equations.native(self.equations.motion_residual)
         at = self.at_stages(x, z, (u0, u1), h)
@@ -54,24 +54,31 @@ class Collocation(Rebuilt):
         inverse = ca.solve(matrix, ca.DM.eye(s * n), "lapacklu")
         sizes = [ca.MX(np.inf)]
         for _ in range(ITERATIONS):
-            z, size = self._corrected(x, u0, u1, h, z, inverse)
+            z, size = self.corrected(x, u0, u1, h, z, inverse)
             sizes.append(size)
-        return ca.Function("newton", list(self._symbols), [z, *sizes[-2:], inverse])
+        return ca.Function("newton", list(self.symbols), [z, *sizes[-2:], inverse])
 
     @cached_property
     def iteration(self) -> ca.Function:
         """``(x, u0, u1, h, z, inverse) -> z, correction``."""
         inverse = ca.MX.sym("inverse", *[self.stages * self.equations.n_strains] * 2)
-        symbols = [*self._symbols, inverse]
-        return ca.Function("iteration", symbols, list(self._corrected(*symbols)))
+        symbols = [*self.symbols, inverse]
+        return ca.Function("iteration", symbols, list(self.corrected(*symbols)))
 
     @cached_property
-    def _symbols(self) -> tuple[ca.MX, ...]:
+    def symbols(self) -> tuple[ca.MX, ...]:
+        """Of a step: x, u0, u1, h, z."""
         n, m = self.equations.n_strains, self.equations.n_inputs
         sizes = {"x": (2 * n, 1), "u0": (m, 1), "u1": (m, 1), "h": (1, 1), "z": (n, self.stages)}
         return tuple(ca.MX.sym(name, *size) for name, size in sizes.items())
 
-    def _corrected(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX, inverse: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def corrected(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX, inverse: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Accelerations after one Newton correction, and its size in strains.
+
+        Args:
+            x, u0, u1, h, z: as in ``symbols``.
+            inverse: of the iteration matrix.
+        """
         residual = self.equations.native(self.equations.motion_residual).map(self.stages)
         change = ca.reshape(inverse @ ca.vec(residual(*self.at_stages(x, z, (u0, u1), h))), *z.shape)
         nominal = ca.DM(np.tile(self.equations.nominal_strains, (self.stages, 1)).T)

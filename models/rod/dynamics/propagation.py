@@ -175,7 +175,7 @@ class Propagation(Rebuilt, ABC):
             scene=self.equations,
             work=np.vstack([np.zeros(states.shape[1] - size), states[:, size:]]) if energy else None,
         )
-        told = ""
+        found, told = self._completed(found), ""
         error = None
         if check:
             error, told = motion_check.checked(self, found)
@@ -204,6 +204,10 @@ class Propagation(Rebuilt, ABC):
             state = np.concatenate([found[0, :size], command])
             total = {name: total[name] + stats[name] for name in total}
         return np.array(states), total, ""
+
+    def _completed(self, found: Trajectory) -> Trajectory:
+        """``found`` with what the scheme knows of its last integration."""
+        return found
 
     # The arm as a plant ----------------------------------------------------------------------------------------------
 

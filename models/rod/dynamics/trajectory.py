@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ class Trajectory:
         message: why it gave up, empty on success.
         stats: counters of the scheme over the steps that succeeded (``nsteps`` and others), zeros when none did.
         error: estimated error, when ``run`` was asked to check the motion or looked for it over all of it.
+        step_errors: (T,) m, estimated error of the shape after each step alone, where the scheme has one.
+        fallbacks: numbers of the steps that took more than the scheme's usual way, by what they took.
         work: (T+1, n_terms) work in J of every term since the start, when ``run`` was asked for the energy.
         scene: the scene whose equations moved.
     """
@@ -38,6 +41,8 @@ class Trajectory:
     scene: Scene = field(repr=False, compare=False)
     work: Array | None = field(default=None, repr=False)
     error: MotionError | None = None
+    step_errors: Array | None = field(default=None, repr=False)
+    fallbacks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     def fields(self, stations: int | ArrayLike = 6) -> Array:
         """The 24 fields (T+1, S, 24) at stations; see ``Fields``."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pisplit.models.rod.analysis.energy import Energies
     from pisplit.models.rod.analysis.fields import Fields
     from pisplit.models.rod.analysis.modes import NaturalModes
+    from pisplit.models.rod.dynamics.fast import FastStepper
     from pisplit.models.rod.dynamics.integrator import Simulator
     from pisplit.models.rod.dynamics.stepper import Stepper
     from pisplit.models.rod.equations.linear import Linearisation
@@ -198,6 +199,12 @@ class Scene(Equations):
         from pisplit.models.rod.dynamics.stepper import Stepper
 
         return Stepper(self, dt, **options)  # type: ignore[arg-type]
+
+    def fast_stepper(self, dt: float, **options: object) -> FastStepper:
+        """Dynamics over steps of ``dt`` seconds by large checked steps; ``options`` are those of ``FastStepper``."""
+        from pisplit.models.rod.dynamics.fast import FastStepper
+
+        return FastStepper(self, dt, **options)  # type: ignore[arg-type]
 
     def variational(self) -> Scene:
         """The same scene with equations that keep its energy, for undamped spatial rods: see ``VariationalBalance``.

@@ -1,0 +1,293 @@
+"""Dynamics by large collocation steps, a whole trajectory as one call, each step checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, positive
+from pisplit.models.rod.dynamics.motion_check import reason
+from pisplit.models.rod.dynamics.stepper import Stepper
+from pisplit.models.rod.dynamics.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from pisplit.models.rod.dynamics.integrator import Simulator
+    from pisplit.models.rod.scene import Scene
+
+#: Newton corrections of a step, all with the matrix of its start.
+CORRECTIONS = 4
+#: Last correction of the strains in parts of their nominal size up to which a step converged.
+CONVERGED = 1e-3
+#: Defect at the end of a step up to which it is taken: see ``FastStepper``.
+SMALL_DEFECT = 0.01
+#: Lengths of calls, in steps; each is built once.
+CALLS = (64, 16, 4, 1)
+#: How often a control interval is halved before IDAS takes it.
+MAX_HALVINGS = 9
+#: Error, in parts of the largest one allowed, below which the next step is twice as long.
+EASY = 0.02
+#: Points along the rod at which shapes are compared.
+POINTS = 6
+
+
+@dataclass
+class _Taken:
+    """Intervals of a run as they were taken: states and estimated errors in m, numbers of those that needed more."""
+
+    rows: list[Array] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    halved: list[int] = field(default_factory=list)
+    idas: list[int] = field(default_factory=list)
+    steps: int = 0
+    message: str = ""
+
+
+class FastStepper(Stepper):
+    """Motion of a scene in few large Gauss steps, up to 64 of them in one CasADi call: for data, loops and predictions.
+
+    Every step starts from zero accelerations and takes four Newton corrections with one matrix. Its last correction and
+    its defect, what the balance misses at the end of the step in terms of strains, decide whether it is taken: the
+    step with the largest defect of every call is done again in two halves, which tells what a defect is worth in
+    metres; intervals with a large defect or an error of more than ``accuracy`` L, and those that do not converge, are
+    taken in halves, quarters and so on, each of which is compared with its own halves, and by IDAS where that fails.
+    ``Trajectory.fallbacks`` names them. A single ``step`` is judged by its defect alone, so that it depends on state
+    and command only.
+
+    Source: Hairer, Lubich and Wanner, *Geometric Numerical Integration* (2006), chapter II.1.
+
+    Args:
+        scene: what moves.
+        dt: control interval in s.
+        step: internal step in s, at most; one a control interval when not given.
+        stages: 2 or 3.
+        accuracy: largest estimated error of the shape after one step, in parts of the length.
+        stations: stations whose fields ``reset`` and ``step`` measure (see ``Fields``).
+        balance: ``"auto"``, ``"direct"`` or ``"variational"`` equations: see ``equations_of_motion``.
+    """
+
+    scheme = "fast Gauss"
+    counters = ("nsteps", "halved", "idas")
+
+    def __init__(
+        self,
+        scene: Scene,
+        dt: float,
+        step: float | None = None,
+        stages: int = 3,
+        accuracy: float = 3e-5,
+        stations: int | ArrayLike = 6,
+        balance: str = "auto",
+    ) -> None:
+        super().__init__(scene, dt, dt if step is None else step, stages, stations=stations, balance=balance)
+        self.accuracy = positive(accuracy, "FastStepper accuracy")
+        self._last = _Taken()
+
+    @property
+    def setting(self) -> tuple[object, ...]:
+        return (*super().setting, self.accuracy)
+
+    def _on(self, scene: Scene, finer: float = 0.1) -> FastStepper:
+        half = self.dt / (2 * self.substeps)
+        return FastStepper(scene, self.dt, half, self.stages, finer * self.accuracy, balance=self.balance)
+
+    # One step --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def one(self) -> ca.Function:
+        """``(x, u0, u1, h) -> end, last correction, defect`` of one step; sizes as in ``Collocation``."""
+        scheme, scene = self.collocation, self.equations
+        n, s = scene.n_strains, scheme.stages
+        x, u0, u1, h, _ = scheme.symbols
+        residual = scene.native(scene.motion_residual)
+        z = ca.MX(n, s)
+        blocks = residual.jacobian().map(s)(*scheme.at_stages(x, z, (u0, u1), h), ca.DM(n, s))
+        matrix = scheme.iteration_matrix([ca.horzsplit(block, n) for block in blocks[:3]], h)
+        inverse = ca.solve(matrix, ca.DM.eye(s * n), "lapacklu")
+        size = ca.MX(np.inf)
+        for _ in range(CORRECTIONS):
+            z, size = scheme.corrected(x, u0, u1, h, z, inverse)
+        end = ca.vertcat(x[:n] + h * x[n:] + h * h * (z @ (scheme.b @ scheme.a)), x[n:] + h * (z @ scheme.b))
+        # The residual at the end as a force that acts over the step: how far it would bend the rod.
+        last = z @ ca.DM(np.linalg.solve(np.vander(scheme.c).T, np.ones(s)))
+        missed = residual(end[:n], end[n:], last, u1)
+        bent = ca.reshape(inverse @ ca.vec(ca.repmat(missed, 1, s)), n, s) @ (scheme.b @ scheme.a)
+        defect = h * h * ca.norm_2(bent / ca.DM(scene.nominal_strains)) / np.sqrt(scene.nodes)
+        return ca.Function("one", [x, u0, u1, h], [end, size, defect])
+
+    @cached_property
+    def _calls(self) -> dict[int, ca.Function]:
+        """``([x, u], commands) -> [x, u], [x; correction; defect]`` of as many control intervals as the key says."""
+        n, m = self.equations.n_strains, self.equations.n_inputs
+        state, command = ca.MX.sym("state", 2 * n + m), ca.MX.sym("command", m)
+        x, before, sizes = state[: 2 * n], state[2 * n :], []
+        for k in range(self.substeps):
+            u0, u1 = (before + (command - before) * ((k + j) / self.substeps) for j in (0, 1))
+            x, *found = self.one(x, u0, u1, self.dt / self.substeps)
+            sizes.append(found)
+        # a sum, unlike a maximum, passes NaN on
+        correction, defect = (sum(column) for column in zip(*sizes, strict=True))
+        interval = ca.Function(
+            "interval", [state, command], [ca.vertcat(x, command), ca.vertcat(x, correction, defect)]
+        )
+        return {size: interval.mapaccum(size) for size in CALLS}
+
+    @cached_property
+    def _idas(self) -> Simulator:
+        return self.scene.simulator(self.dt, balance=self.balance)
+
+    @cached_property
+    def _shape(self) -> ca.Function:
+        """``(xi, u) -> `` positions (3, POINTS) in m along the rod."""
+        scene = self.equations
+        xi, u, balance = scene.static_balance
+        points = (scene.rod.length * np.arange(1, POINTS + 1) / POINTS).tolist()
+        return ca.Function("shape", [xi, u], [balance.motion.position_at(points)], {"cse": True})
+
+    def _distance(self, x: Array, y: Array, u: Array) -> float:
+        """Largest distance in m of two shapes [xi, xi_t] under the inputs ``u``, infinite where one is none."""
+        n = self.equations.n_strains
+        there, here = (np.asarray(self._shape(state[:n], u)) for state in (x, y))
+        found = float(np.linalg.norm(there - here, axis=0).max())
+        return found if np.isfinite(found) else np.inf
+
+    # Trajectories ----------------------------------------------------------------------------------------------------
+
+    def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
+        """States [xi, xi_t] after each command: see ``Propagation.integrate``; the work of terms takes small steps.
+
+        Args:
+            start: state [xi, xi_t, u] (n_states,).
+            commands: (T, n_inputs).
+            energy: whether to add the work of every term since the start.
+        """
+        if energy:
+            rows, stats = super().integrate(start, commands, energy=True)
+            self._last = _Taken()
+            return rows, {"nsteps": stats["nsteps"], "halved": stats["halvings"], "idas": 0}
+        states, found, message = self._as_far_as_possible(start, commands, False)
+        if message:
+            raise RuntimeError(message)
+        return states, found
+
+    def _as_far_as_possible(self, start: Array, commands: Array, energy: bool) -> tuple[Array, dict[str, int], str]:
+        if energy:
+            return super()._as_far_as_possible(start, commands, energy)
+        n = self.scene.n_strains
+        taken = self._last = _Taken()
+        x, before, size, depth = start[: 2 * n], start[2 * n :], CALLS[1], 0
+        while len(taken.rows) < len(commands) and not taken.message:
+            k = len(taken.rows)
+            size = next(c for c in CALLS if c <= min(size, len(commands) - k))
+            good = self._together(taken, x, before, commands[k : k + size])
+            if good:
+                x, before = taken.rows[-1], commands[k + good - 1]
+            if good < size:
+                depth = self._alone(taken, x, before, commands[k + good], depth)
+                x, before = taken.rows[-1] if taken.rows else x, commands[k + good]
+            size = 4 * size if good == size else 1
+        stats = {"nsteps": taken.steps, "halved": len(taken.halved), "idas": len(taken.idas)}
+        return np.array(taken.rows).reshape(len(taken.rows), 2 * n), stats, taken.message
+
+    def _together(self, taken: _Taken, x: Array, before: Array, commands: Array) -> int:
+        """How many of the first ``commands`` pass in one call; their states are appended."""
+        n, size = self.scene.n_strains, len(commands)
+        try:
+            _, found = self._calls[size](np.concatenate([x, before]), commands.T)
+        except RuntimeError:  # a singular matrix, somewhere
+            return 0
+        rows = np.asarray(found).T
+        states, corrections, defects = rows[:, : 2 * n], rows[:, -2], rows[:, -1]
+        with np.errstate(invalid="ignore"):
+            passes = (corrections <= CONVERGED * self.substeps) & (defects <= SMALL_DEFECT * self.substeps)
+        good = size if passes.all() else int(np.argmin(passes))
+        errors = np.zeros(good)
+        if size > 1 and good:
+            worst = int(np.argmax(defects[:good]))
+            at, u = (x, before) if worst == 0 else (states[worst - 1], commands[worst - 1])
+            end = self._in_pieces(at, u, commands[worst], 2 * self.substeps)
+            error = np.inf if end is None else self._distance(end, states[worst], commands[worst])
+            errors = error * defects[:good] / max(float(defects[worst]), 1e-300)
+            over = errors > self.accuracy * self.scene.rod.length
+            good = int(np.argmax(over)) if over.any() else good
+        taken.rows += list(states[:good])
+        taken.errors += errors[:good].tolist()
+        taken.steps += good * self.substeps
+        return good
+
+    def _in_pieces(self, x: Array, before: Array, command: Array, pieces: int) -> Array | None:
+        """[xi, xi_t] after an interval in equal pieces, or None where one of them does not converge."""
+        for k in range(pieces):
+            u0, u1 = (before + (command - before) * (k + j) / pieces for j in (0, 1))
+            found = self._step(x, u0, u1, self.dt / pieces)
+            if found is None:
+                return None
+            x = found
+        return x
+
+    def _step(self, x: Array, u0: Array, u1: Array, h: float) -> Array | None:
+        try:
+            end, correction, _ = self.one(x, u0, u1, h)
+        except RuntimeError:
+            return None
+        return np.asarray(end).ravel() if float(correction) <= CONVERGED else None
+
+    def _alone(self, taken: _Taken, x: Array, before: Array, command: Array, depth: int) -> int:
+        """One interval that did not pass, in pieces, first of ``dt / 2^depth``, or by IDAS; the last depth."""
+        k = len(taken.rows)
+        start = np.concatenate([x, before])
+        try:
+            end, error, steps, depth = self._halved(x, (before, command), depth)
+            taken.halved.append(k)
+        except RuntimeError as too_rough:
+            try:
+                states, stats = self._idas.integrate(start, command[None, :])
+            except RuntimeError as failure:
+                taken.message = (
+                    f"{self.scheme} gave up in step {k} at t = {k * self.dt:g} s: {too_rough}; "
+                    f"and so did IDAS: {reason(failure)}"
+                )
+                return depth
+            end, error, steps, depth = states[0, : len(x)], 0.0, stats["nsteps"], 0
+            taken.idas.append(k)
+        taken.rows.append(end)
+        taken.errors.append(error)
+        taken.steps += steps
+        return depth
+
+    def _halved(self, x: Array, u: tuple[Array, Array], depth: int) -> tuple[Array, float, int, int]:
+        """[xi, xi_t] after an interval in pieces, its estimated error in m, steps taken and the depth of the last one.
+
+        Raises RuntimeError beyond the last halving.
+        """
+        whole_interval = 1 << MAX_HALVINGS
+        done, error, steps = 0, 0.0, 0
+        whole: Array | None = None
+        while done < whole_interval:
+            piece = whole_interval >> depth
+            h = self.dt * piece / whole_interval
+            at = [u[0] + (u[1] - u[0]) * ((done + part * piece) / whole_interval) for part in (0.0, 0.5, 1.0)]
+            whole = self._step(x, at[0], at[2], h) if whole is None else whole
+            first = self._step(x, at[0], at[1], 0.5 * h)
+            second = None if first is None else self._step(first, at[1], at[2], 0.5 * h)
+            apart = np.inf if whole is None or second is None else self._distance(whole, second, at[2])
+            if second is not None and apart <= self.accuracy * self.scene.rod.length:
+                x, done, error, steps, whole = second, done + piece, error + apart, steps + 2, None
+                if apart < EASY * self.accuracy * self.scene.rod.length and depth and done % (2 * piece) == 0:
+                    depth -= 1
+            elif depth == MAX_HALVINGS:
+                raise RuntimeError(f"steps of {h:.1e} s are too large")
+            else:
+                depth, whole = depth + 1, first
+        return x, error, steps, depth
+
+    def _completed(self, found: Trajectory) -> Trajectory:
+        taken = self._last
+        if len(taken.errors) != len(found.u):
+            return found
+        fallbacks = {"halved": tuple(taken.halved), "IDAS": tuple(taken.idas)}
+        return replace(found, step_errors=np.array(taken.errors), fallbacks=fallbacks)
