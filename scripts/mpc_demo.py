@@ -124,7 +124,7 @@ def main() -> None:
         report.figure(f"{name} open-loop squared shape error, median", errors.median, "m^2")
         report.figure(f"{name} divergent roll-outs", 100 * errors.diverged_fraction, "%")
 
-    simulator = arm.scene.simulator(dt=every.dt, stations=STATIONS)
+    simulator = arm.scene.fast_stepper(dt=every.dt, stations=STATIONS)
     tip = simulator.reset(arm.rest_inputs)[list((d1.outputs or {})["tip"])]
 
     def loop(controller: MPC | FeedForward, reference: references.Reference, steps: int) -> LoopLog:

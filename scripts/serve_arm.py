@@ -32,7 +32,7 @@ def main() -> None:
     made.add_argument("--connections", type=int, metavar="N", help="end after so many; never when not given")
     given = made.parse_args()
 
-    plant = plants.ActuatedPlant(ARMS[given.arm]().scene.simulator(dt=given.dt), Actuator(given.lag, given.play))
+    plant = plants.ActuatedPlant(ARMS[given.arm]().scene.fast_stepper(dt=given.dt), Actuator(given.lag, given.play))
     noisy = plants.NoisyMeasurements(plant, {"m": given.noise}, np.deg2rad(given.angle), given.seed)
     late = plants.serve(
         plants.DelayedMeasurements(noisy, given.delay),

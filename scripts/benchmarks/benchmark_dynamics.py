@@ -16,6 +16,8 @@ from common.report import Report
 from pisplit.models import rod
 from pisplit.models.arm.recording import random_displacements
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.dynamics.fast import FastStepper
+from pisplit.models.rod.dynamics.integrator import Simulator
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -26,7 +28,10 @@ DEFAULT = (5, 1e-4)
 
 @dataclass(frozen=True)
 class Point:
-    """One setting: CPU time per step of 0.03 s in ms, maximum tip error in parts of L."""
+    """One setting: CPU time per step of 0.03 s in ms, maximum tip error in parts of L.
+
+    ``rtol`` is the relative tolerance, or the internal step in s.
+    """
 
     label: str
     rtol: float
@@ -46,18 +51,26 @@ def measure_dynamics(report: Report, quick: bool, seed: int, out: Path) -> None:
     span = f"{steps} steps"
     report.figure("dynamics paper arm, step of 0.03 s", default.time, "ms", ("<=", 4.0))
     report.figure(f"dynamics paper arm, maximum tip error over {span}", default.error, "L", ("<=", 1e-3))
+    fast = fast_point(nodes, DT, commands, reference, 5)
+    report.figure("dynamics fast Gauss steps, step of 0.03 s", fast.time, "ms", ("<=", 0.3))
+    report.figure(f"dynamics fast Gauss steps, maximum tip error over {span}", fast.error, "L", ("<=", 1e-4))
     single_steps(report, commands, reference)
     points = [
         point(k, tolerance, commands, reference, 1)
         for k, tolerance in tqdm(settings(quick), desc="work-precision", unit="run")
     ]
+    points += [
+        fast_point(k, DT / cut, commands, reference, 1)
+        for k in ((5, 6) if quick else (4, 5, 6, 8))
+        for cut in ((1, 2) if quick else (1, 2, 4))
+    ]
     peers = peer_points(commands, reference, quick)
     best = min((p for p in peers), key=lambda p: abs(np.log(p.error / default.error)))
     report.figure(f"dynamics peer {best.label} rtol {best.rtol:g}, step", best.time, "ms")
     report.figure(f"dynamics peer {best.label} rtol {best.rtol:g}, maximum tip error", best.error, "L")
-    print("\nwork and precision                  rtol    tip error / L    ms per step")
+    print("\nwork and precision                  rtol    tip error / L    ms per step   (fast: step in s)")
     for p in points + peers:
-        print(f"  {p.label:<30} {p.rtol:9.0e} {p.error:14.1e} {p.time:14.2f}")
+        print(f"  {p.label:<30} {p.rtol:9.1e} {p.error:14.1e} {p.time:14.2f}")
     draw(points + peers, out / "work_precision.png")
 
 
@@ -75,19 +88,30 @@ def tips(scene: rod.Scene, states: np.ndarray) -> np.ndarray:
 
 
 def trajectory(nodes: int, rtol: float, commands: np.ndarray, repeats: int) -> tuple[np.ndarray, float]:
-    """Tips of a run from rest, and the median CPU time per step in ms; building the integrator is not counted."""
-    arm = TendonArm.paper(nodes)
-    simulator = arm.scene.simulator(DT, rtol=rtol)
-    start = arm.scene.statics().solve(arm.rest_inputs).state
-    simulator.run(np.tile(arm.rest_inputs, (len(commands), 1)), start)
+    """Tips of a run of IDAS from rest, and the median CPU time per step in ms."""
+    return timed(TendonArm.paper(nodes).scene.simulator(DT, rtol=rtol), commands, repeats)
+
+
+def timed(mover: Simulator | FastStepper, commands: np.ndarray, repeats: int) -> tuple[np.ndarray, float]:
+    """Tips of a run from rest, and the median CPU time per step in ms; building functions is not counted."""
+    scene, arm = mover.scene, TendonArm.paper()
+    start = scene.statics().solve(arm.rest_inputs).state
+    mover.run(np.tile(arm.rest_inputs, (len(commands), 1)), start, check=False)
     spent = []
     for _ in range(repeats):
         begin = time.process_time()
-        run = simulator.run(commands, start)
+        run = mover.run(commands, start, check=False)
         spent.append(time.process_time() - begin)
     if not run.success:
-        raise RuntimeError(f"K = {nodes}, rtol = {rtol:g}: {run.message}")
-    return tips(arm.scene, run.x), 1e3 * float(np.median(spent)) / len(commands)
+        raise RuntimeError(f"K = {scene.nodes}: {run.message}")
+    return tips(scene, run.x), 1e3 * float(np.median(spent)) / len(commands)
+
+
+def fast_point(nodes: int, step: float, commands: np.ndarray, reference: np.ndarray, repeats: int) -> Point:
+    """Large checked Gauss steps against the reference."""
+    mover = TendonArm.paper(nodes).scene.fast_stepper(DT, step=step)
+    found, spent = timed(mover, commands, repeats)
+    return Point(f"fast Gauss, K = {nodes}", step, spent, float(np.abs(found - reference).max()))
 
 
 def point(nodes: int, rtol: float, commands: np.ndarray, reference: np.ndarray, repeats: int) -> Point:
@@ -99,8 +123,18 @@ def point(nodes: int, rtol: float, commands: np.ndarray, reference: np.ndarray, 
 def single_steps(report: Report, commands: np.ndarray, reference: np.ndarray) -> None:
     """The arm as a plant, one step at a time; the measured fields are part of the step."""
     arm = TendonArm.paper(DEFAULT[0])
-    simulator = arm.scene.simulator(DT, rtol=DEFAULT[1])
-    simulator.reset(arm.rest_inputs)
+    plants: list[tuple[str, Simulator | FastStepper]] = [
+        ("IDAS", arm.scene.simulator(DT, rtol=DEFAULT[1])),
+        ("fast Gauss", arm.scene.fast_stepper(DT)),
+    ]
+    for name, simulator in plants:
+        _single_steps(report, name, simulator, commands, reference)
+
+
+def _single_steps(
+    report: Report, name: str, simulator: Simulator | FastStepper, commands: np.ndarray, reference: np.ndarray
+) -> None:
+    simulator.reset(TendonArm.paper().rest_inputs)
     tip = list(simulator.field_map.outputs["tip"])
     spent, measured, failed = [], [], 0
     for k, u in enumerate(commands):
@@ -109,11 +143,11 @@ def single_steps(report: Report, commands: np.ndarray, reference: np.ndarray) ->
         if k:  # the first builds the integrator
             spent.append(1e3 * (time.process_time() - begin))
         failed += not step.ok
-        measured.append(step.state[tip] / arm.scene.rod.length)
-    report.figure("closed-loop IDAS step, median", float(np.median(spent)), "ms", ("<=", 5.0))
-    report.figure("closed-loop IDAS step, p99", float(np.percentile(spent, 99)), "ms")
-    report.figure("closed-loop IDAS step, failures", failed, "", ("<=", 0.0))
-    report.figure("closed-loop IDAS step, maximum tip error", float(np.abs(measured - reference[1:]).max()), "L")
+        measured.append(step.state[tip] / simulator.scene.rod.length)
+    report.figure(f"closed-loop {name} step, median", float(np.median(spent)), "ms", ("<=", 5.0))
+    report.figure(f"closed-loop {name} step, p99", float(np.percentile(spent, 99)), "ms")
+    report.figure(f"closed-loop {name} step, failures", failed, "", ("<=", 0.0))
+    report.figure(f"closed-loop {name} step, maximum tip error", float(np.abs(measured - reference[1:]).max()), "L")
 
 
 def peer_points(commands: np.ndarray, reference: np.ndarray, quick: bool) -> list[Point]:
