@@ -16,7 +16,7 @@ from pisplit.data.clock import _check_increasing, seconds
 from pisplit.data.episode_checks import _misfit
 from pisplit.data.input_subspace import excited_directions
 from pisplit.data.recordings import _jitter, _say_what_is_held, _step
-from pisplit.data.resampling import Signal, _both, pieces
+from pisplit.data.resampling import BRIDGED, Signal, _both, longest_gap, pieces
 from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
 from pisplit.lifted.formats import _listed
@@ -335,3 +335,40 @@ def test_a_command_that_holds_over_a_step_is_itself_to_the_last_digit() -> None:
     rng = np.random.default_rng(0)
     times, values = np.arange(40.0), rng.normal(size=(40, 2))
     np.testing.assert_array_equal(Signal(np.arange(2), times, values).held(np.arange(41.0)), values)
+
+
+class Table(list):
+    """Rows that name their columns, as those of pandas and polars do."""
+
+    def __init__(self, rows: object, columns: list[str]) -> None:
+        super().__init__(np.asarray(rows).tolist())
+        self.columns = columns
+
+
+def test_tables_of_one_recording_name_their_columns_alike() -> None:
+    x, u = np.arange(6.0).reshape(3, 2), np.zeros((2, 1))
+    alike = Episodes([Table(x, ["a", "b"])] * 2, [u, u], 0.1)
+    assert alike.state_names == ("a", "b")
+    with pytest.raises(ValueError, match="expected one order"):
+        Episodes([Table(x, ["a", "b"]), Table(x, ["b", "a"])], [u, u], 0.1)
+
+
+def test_an_episode_has_states_and_starts_without_delays() -> None:
+    with pytest.raises(ValueError, match="at least one state"):
+        Episodes([np.zeros((3, 0))], [np.zeros((2, 1))], 0.1)
+    start = Episodes([np.zeros((3, 1))], [np.ones((2, 1))], 0.1).start(0)
+    assert start.x_history.shape == (1, 1) and start.u_history.shape == (0, 1)
+
+
+def test_a_command_is_held_where_it_is_missing_not_where_nothing_was_recorded() -> None:
+    nan = np.nan
+    slow = np.array([[0.0], [1.0], [0.5], [nan], [1.5]])  # read every 10 s, once after 20 s
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _say_what_is_held(10.0 * np.arange(5), slow, ["u"], 1.0, None)
+        _say_what_is_held(np.array([0.0, 1.0, 2.0, 40.0, 41.0]), np.ones((5, 1)), ["u"], 1.0, None)
+
+
+def test_two_readings_have_a_spacing() -> None:
+    twice = Signal(np.arange(1), np.array([0.0, 5.0]), np.zeros((2, 1)))
+    assert longest_gap(twice, 1.0, None) == BRIDGED * 5.0

@@ -148,3 +148,16 @@ def test_a_read_out_does_not_depend_on_how_often_the_same_is_recorded() -> None:
     runs = [Episodes([x] * n, [np.zeros((39, 1))] * n, 0.1) for n in (1, 400)]
     once, often = (LinearEDMDc(theta, 1e-3).fit(data).lifted.C for data in runs)
     np.testing.assert_allclose(often, once, rtol=1e-6)
+
+
+def test_a_fixed_point_is_found_where_states_drive_one_another_in_a_chain() -> None:
+    a = np.array([[0.2, 0.0, 0.0], [3.0, 0.5, 0.0], [1.0, 40.0, 0.9]])
+    known = model(a, c=np.array([0.1, 0.0, 0.3]))
+    z = known.fixed_point([0.5])
+    np.testing.assert_allclose(known.step(z, [0.5]), z, rtol=1e-12)
+
+
+def test_states_that_are_multiples_of_columns_are_read_as_such() -> None:
+    known = replace(model(np.diag([0.5, 0.9])), C=2.0 * np.eye(2))
+    found = known.rollout([0.1, 0.2], np.zeros((3, 1)))
+    np.testing.assert_allclose(found.x, 2.0 * found.z, rtol=1e-15)

@@ -134,3 +134,15 @@ def test_friction_of_a_gentle_bend_does_not_depend_on_the_size_of_the_arm() -> N
 def test_free_strains_may_be_given_as_a_list() -> None:
     given = rod.StrainSet("in the plane", [1])  # type: ignore[arg-type]
     assert given.free == (1,) and hash(given) == hash(rod.StrainSet("in the plane", (1,)))
+
+
+def test_friction_of_a_tendon_that_ends_early_counts_its_own_length() -> None:
+    """On a rod without other loads the half that a tendon runs along bends as a rod of that length does."""
+    pulls = []
+    for length, elements in ((0.25, (0.25,)), (0.5, (0.25, 0.25))):
+        body = rod.Rod(length, rod.Circle(0.01), rod.Elastic(1e6, 4e5, 1000.0), elements=elements)
+        drive = rod.Displacement(compliance=1e-2)
+        scene = rod.Scene(body, rod.Tendons([(5e-3, 0.0)], drive, friction=0.4, end=0.25), nodes=5)
+        pulls.append(scene.statics().solve([5e-3]).tensions[0])
+    assert pulls[0] > 0.1
+    assert pulls[1] == pytest.approx(pulls[0], rel=1e-3)  # the ends of the half bend into one another
