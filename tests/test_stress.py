@@ -10,8 +10,11 @@ from hypothesis import HealthCheck, given, settings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
+from pisplit.models import rod
 from stress import watched
 from stress.cases import sweeps, work
+from stress.elastica import PlaneElastica, followed
+from stress.equilibria import judged
 from stress.random_scenes import Description, build, unloaded
 from stress.scene_strategy import drawn, scenes
 from stress.watched import Finished, run_watched
@@ -68,8 +71,14 @@ def test_every_sweep_of_the_stress_run_is_there() -> None:
     cases = sweeps(quick=False, seed=0)
     young = [c["young"] for c in cases if c["sweep"].startswith("stiffness")]
     assert min(young) <= 1e4 * (1 + 1e-9) and max(young) >= 1e12 * (1 - 1e-9)
-    assert sum(c["kind"] == "random" for c in cases) >= 500
-    assert {c["load"] for c in cases if c["kind"] == "cold"} >= {100.0, 300.0}
+    assert len(cases) >= 2000
+    assert sum(c["kind"] == "random" for c in cases) >= 120
+    for sweep, least in (("sag", 200), ("tip load", 400), ("arm with tendons", 100)):
+        of = [c for c in cases if c["sweep"] == f"truth: {sweep}"]
+        assert len(of) >= least and {4, 8} <= {c["nodes"] for c in of}
+    dead = [c for c in cases if c["kind"] == "dead truth"]
+    assert min(c["load"] for c in dead) < 1.1 and max(c["load"] for c in dead) > 290.0
+    assert any(c["nodes"] == "auto" for c in dead) and any(c["direction"] == [0.0, 0.0, -1.0] for c in dead)
     for arm in ("arm", "full arm"):
         of = [c for c in cases if c["sweep"].startswith(f"{arm}: ")]
         dts = [c["dt"] for c in of if c["sweep"].endswith("control interval")]
@@ -77,10 +86,42 @@ def test_every_sweep_of_the_stress_run_is_there() -> None:
         assert max(c.get("amplitude", 0.0) for c in of) >= 0.3 * 0.7144 - 1e-9
         assert min(c.get("damping", 1.0) for c in of) == 0.0
         assert max(c["load"] for c in of if c["kind"] == "arm at rest") == 300.0
-    assert len(sweeps(quick=True, seed=0)) < len(cases) / 5
+    assert len(sweeps(quick=True, seed=0)) < len(cases) / 10
+
+
+def test_the_elastica_that_judges_is_the_published_one() -> None:
+    """Cantilevers under a transverse tip force (Mattiasson, Int. J. Numer. Meth. Eng. 17, 1981), and Euler's load."""
+    for load, across, shortening in ((1.0, 0.30172, 0.05643), (5.0, 0.71379, 0.38763), (10.0, 0.81061, 0.55500)):
+        tip = PlaneElastica().shape(np.array([load, 0.0]), np.zeros(2))[-1]
+        assert np.abs(tip - [across, 1.0 - shortening]).max() < 1e-5
+    push = np.array([0.05, 0.0])
+    straight, bent = (
+        PlaneElastica().shape(np.array([0.0, -f * np.pi**2 / 4.0]), np.zeros(2), push)[-1] for f in (0.95, 1.05)
+    )
+    assert abs(straight[0]) < 1e-9 and bent[0] > 0.3
+
+
+def test_the_fine_path_ends_where_the_rod_buckles() -> None:
+    """A column under its own weight loses stability at 7.837 EI/L^3 (Greenhill); a sagging rod is the elastica."""
+    body = rod.Rod(1.0, rod.Circle(0.01), rod.Elastic(1e6, 1e6 / 3.0, 1000.0), "planar")
+    scene = rod.Scene(body, rod.Gravity(rod.Input("g", 3)), nodes=8)
+    unit = body.stiffness[1] / body.mass_per_length
+    state, part = followed(scene, np.array([0.0, 0.0, -10.0 * unit]))
+    assert state is None and abs(part - 0.7837) < 0.03
+    state, part = followed(scene, np.array([20.0 * unit, 0.0, 0.0]))
+    assert state is not None and part == 1.0
+    true = PlaneElastica().shape(np.zeros(2), np.array([20.0, 0.0]))
+    assert np.abs(scene.fields(state, np.arange(1, 21) / 20)[:, [0, 2]] - true).max() < 1e-4
+
+
+def test_what_is_off_without_a_word_is_wrong() -> None:
+    assert [judged(*of)["outcome"] for of in ((2e-3, ""), (2e-3, "said"), (5e-4, ""))] == ["wrong", "flagged", "ok"]
+    cases = [c for c in sweeps(quick=True, seed=0) if c["kind"] == "dead truth" and c["strains"] == "planar"]
+    found = [work(case) for case in cases[:5]]
+    assert {f["outcome"] for f in found} <= {"ok", "flagged"} and any(f["outcome"] == "ok" for f in found)
 
 
 def test_a_case_of_the_full_arm_is_solved() -> None:
     case = next(c for c in sweeps(quick=True, seed=0) if c["sweep"] == "full arm: slack and taut in turn")
     found = work(case)
-    assert found["outcome"] == "ok" and found["error"] < 1e-2
+    assert found["outcome"] in ("ok", "flagged") and found["error"] < 0.3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,17 @@ from numpy.typing import NDArray
 
 from pisplit.models import rod
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.dynamics.motion_error import motion_error
+from stress import equilibria
 from stress.random_scenes import build, unloaded
 
 Array = NDArray[np.float64]
 Case = dict[str, Any]
 LENGTH, DENSITY = 0.5, 1200.0
 #: Nodes of the swept rods and of the arms; internal steps follow from the default tolerance.
-NODES, ARM_NODES = 3, 4
-#: Tolerance of the run that the error is measured against, and the internal steps beyond which there is none.
-FINER, LONGEST = 1e-6, 20_000
+NODES, ARM_NODES = 5, 4
+#: Internal steps of a run beyond which it is not moved once more on a finer grid.
+LONGEST = 20_000
 #: Names of the two arms: the paper's, and the same backbone with shear and stretch free and damped.
 ARMS = {"kirchhoff": "arm", "cosserat": "full arm"}
 
@@ -31,12 +34,7 @@ def sweeps(quick: bool, seed: int) -> list[Case]:
         cases += _rods(strains, quick)
     for strains in ARMS:
         cases += _arms(strains, quick)
-    for strains in ("kirchhoff",) if quick else ("kirchhoff", "cosserat"):
-        cases += [
-            {"sweep": f"cold tip load, {strains}", "kind": "cold", "strains": strains, "load": load, "seed": int(k)}
-            for load in ((1.0, 100.0, 300.0) if quick else (1.0, 10.0, 30.0, 100.0, 200.0, 300.0))
-            for k in rng.integers(2**31, size=4 if quick else 20)
-        ]
+    cases += equilibria.cases(quick, rng)
     return cases + [
         {"sweep": "random scenes", "kind": "random", "scene": scene} for scene in _random_scenes(quick, seed)
     ]
@@ -44,9 +42,9 @@ def sweeps(quick: bool, seed: int) -> list[Case]:
 
 def _rods(strains: str, quick: bool) -> list[Case]:
     """Modulus by slenderness, and damping."""
-    moduli = np.geomspace(1e4, 1e12, 3 if quick else 9).tolist()
-    ratios = np.geomspace(1e-4, 0.1, 3 if quick else 7).tolist()
-    dampings = [0.0, *np.geomspace(1e-4, 100.0, 3 if quick else 13).tolist()]
+    moduli = np.geomspace(1e4, 1e12, 2 if quick else 5).tolist()
+    ratios = np.geomspace(1e-4, 0.1, 2 if quick else 4).tolist()
+    dampings = [0.0, *np.geomspace(1e-4, 100.0, 1 if quick else 7).tolist()]
     rod_of: Case = {"kind": "load", "strains": strains}
     return [
         {"sweep": f"stiffness, {strains}", **rod_of, "young": e, "ratio": r, "damping": 0.05}
@@ -62,31 +60,31 @@ def _arms(strains: str, quick: bool) -> list[Case]:
     """Every stress of one arm: control interval, pulls, switching, damping, tip loads in motion and cold."""
     arm: Case = {"kind": "arm", "strains": strains, "dt": 0.03, "pattern": "random", "amplitude": 0.01}
     cases: list[Case] = [
-        arm | {"sweep": "control interval", "dt": dt} for dt in np.geomspace(1e-4, 0.3, 3 if quick else 9).tolist()
+        arm | {"sweep": "control interval", "dt": dt} for dt in np.geomspace(1e-4, 0.3, 1 if quick else 5).tolist()
     ]
     cases += [
         arm | {"sweep": "tendon pull", "pattern": "ramp", "amplitude": a * 0.7144}
-        for a in (np.linspace(0.05, 0.3, 2) if quick else np.linspace(0.02, 0.3, 15)).tolist()
+        for a in (np.linspace(0.3, 0.3, 1) if quick else np.linspace(0.02, 0.3, 6)).tolist()
     ]
     cases += [
         arm | {"sweep": "slack and taut in turn", "dt": dt, "pattern": "switch", "amplitude": a}
-        for dt in ((0.03,) if quick else (0.003, 0.01, 0.03, 0.1))
-        for a in ((0.01,) if quick else (0.003, 0.01, 0.03))
+        for dt in ((0.03,) if quick else (0.01, 0.1))
+        for a in ((0.01,) if quick else (0.003, 0.03))
     ]
     cases += [
         arm | {"sweep": "damping", "pattern": "wave", "damping": factor}
-        for factor in ((0.0, 100.0) if quick else (0.0, 1e-3, 1e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0))
+        for factor in ((1.0,) if quick else (0.0, 1e-2, 0.3, 3.0, 100.0))
     ]
     cases += [
         arm | {"sweep": "damping, jumping pulls", "damping": factor}
-        for factor in ((0.1, 100.0) if quick else (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0))
+        for factor in ((1.0,) if quick else (0.0, 1e-2, 1.0, 100.0))
     ]
-    loads = (100.0,) if quick else (1.0, 10.0, 30.0, 100.0, 200.0, 300.0)
+    loads = (100.0,) if quick else (1.0, 30.0, 100.0, 300.0)
     cases += [arm | {"sweep": "tip load", "pattern": "load", "load": load} for load in loads]
     cases += [
         {"sweep": "cold tip load", "kind": "arm at rest", "strains": strains, "load": load, "seed": k}
         for load in loads
-        for k in range(2 if quick else 5)
+        for k in range(1 if quick else 2)
     ]
     return [case | {"sweep": f"{ARMS[strains]}: {case['sweep']}"} for case in cases]
 
@@ -98,13 +96,14 @@ def _random_scenes(quick: bool, seed: int) -> list[Case]:
         if error.name != "hypothesis":
             raise
         raise ValueError("random scenes need hypothesis, which is not installed; pip install hypothesis") from None
-    return drawn(12 if quick else 500, seed)
+    return drawn(6 if quick else 120, seed)
 
 
 def work(case: Case) -> dict[str, Any]:
     """Run one case; ``outcome`` is ok, failed (a clean status), refused (one-line ValueError), nan or raised."""
     start = time.perf_counter()
-    kinds = {"load": _load, "arm": _arm, "arm at rest": _arm_at_rest, "cold": _cold, "random": _random}
+    kinds = {"load": _load, "arm": _arm, "arm at rest": _arm_at_rest, "random": _random}
+    kinds |= {"dead truth": equilibria.dead, "arm truth": equilibria.arm}
     try:
         found = kinds[case["kind"]](case)
     except ValueError as error:
@@ -162,14 +161,7 @@ def _arm_at_rest(case: Case) -> dict[str, Any]:
     """The arm with slack tendons under a dead tip force of ``load`` EI/L^2 in a random direction, cold."""
     scene = arm_scene(case["strains"])
     force = case["load"] * scene.rod.stiffness[0] / scene.rod.length**2 * _direction(case["seed"])
-    return _equilibrium(scene + rod.TipWrench(force=tuple(force.tolist())), np.zeros(3))
-
-
-def _cold(case: Case) -> dict[str, Any]:
-    """A dead tip force of ``load`` EI/L^2 in a random direction, from the straight rod."""
-    body = rod.Rod(LENGTH, rod.Circle(1e-3), rod.Elastic(207e9, 207e9 / 2.6, 8000.0), case["strains"])
-    force = case["load"] * body.stiffness[0] / LENGTH**2 * _direction(case["seed"])
-    return _equilibrium(rod.Scene(body, rod.TipWrench(force=tuple(force.tolist())), nodes=8), np.zeros(0))
+    return equilibria.beside_path(scene + rod.TipWrench(force=tuple(force.tolist())), np.zeros(3))
 
 
 def _direction(seed: int) -> Array:
@@ -180,41 +172,41 @@ def _direction(seed: int) -> Array:
 def _random(case: Case) -> dict[str, Any]:
     """An equilibrium under the first inputs, and a few steps from the unloaded rod, which is let go."""
     scene, dt, u = build(case["scene"])
-    still = _equilibrium(scene, u[0])
+    still = equilibria.beside_path(scene, u[0])
     if still["outcome"] != "ok":
         return still
     return _run(scene, dt, u, unloaded(scene))
 
 
-def _equilibrium(scene: rod.Scene, u: Array) -> dict[str, Any]:
-    found = scene.statics().solve(u)
-    if not np.all(np.isfinite(found.state)):
-        return {"outcome": "nan", "message": found.message}
-    outcome = "ok" if found.success else "failed"
-    return {"outcome": outcome, "message": found.message, "error": found.residual, "steps": found.iterations}
-
-
 def _run(scene: rod.Scene, dt: float, u: Array, start: Array | None = None) -> dict[str, Any]:
-    """Simulate, from rest if not told otherwise; error in parts of L against a run at a tenth of the tolerance."""
-    if start is None:
-        rest = scene.statics().solve()
-        if not rest.success:
-            return {"outcome": "failed", "message": rest.message}
-        start = rest.state
-    run = scene.simulator(dt).run(u, start)
-    if not np.all(np.isfinite(run.x)):
-        return {"outcome": "nan", "message": "a state is not finite"}
+    """Simulate, from rest if not told otherwise; error along the rod in parts of the travel.
+
+    The truth is the motion on two more nodes an element at a tenth of the tolerance.
+    """
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", rod.Unresolved)
+        if start is None:
+            rest = scene.statics().solve()
+            if not rest.success:
+                return {"outcome": "failed", "message": rest.message}
+            start = rest.state
+        simulator = scene.simulator(dt)
+        run = simulator.run(u, start)
+    told = "; ".join(str(w.message) for w in said if issubclass(w.category, rod.Unresolved))
+    if not np.all(np.isfinite(run.x)) or not np.all(np.isfinite(run.fields(1))):
+        return {"outcome": "nan", "message": "a state or a field is not finite"}
     if not run.success:
         good = run.message.startswith("IDAS") and "\n" not in run.message
         return {"outcome": "failed" if good else "raised", "message": run.message, "steps": run.stats.get("nsteps")}
-    tip = scene.fields(run.x, 1)[:, 0, :3]
-    if not np.all(np.isfinite(tip)):
-        return {"outcome": "nan", "message": "a field is not finite"}
-    found = {"outcome": "ok", "message": "", "steps": run.stats["nsteps"] / len(u)}
+    found = {"outcome": "flagged" if told else "ok", "message": told[:200], "steps": run.stats["nsteps"] / len(u)}
     if run.stats["nsteps"] > LONGEST:
         return found
-    finer = scene.simulator(dt, rtol=FINER).run(u, start)
-    if finer.success:
-        distance = np.linalg.norm(scene.fields(finer.x, 1)[:, 0, :3] - tip, axis=1)
-        found["error"] = float(distance.max() / scene.rod.length)
+    finer = simulator.finer.run(u, simulator.resolution.on_finer(start), check=False)
+    if not finer.success:
+        return found
+    error = motion_error(run, finer)
+    grown = float((error.distance - error.distance[0]).max())
+    found["error"] = grown / max(error.travel, 1e-300)
+    if error.first_above(equilibria.ALLOWED, 1e-7 * scene.rod.length) is not None and not told:
+        return found | {"outcome": "wrong", "message": f"off by {found['error']:.1e} of the travel without a word"}
     return found

@@ -168,6 +168,8 @@ class Resolution(Rebuilt):
 def resolved(scene: Scene, inputs: Array, tolerance: float) -> Scene:
     """``scene`` on nodes that resolve its equilibria under ``inputs`` (N, n_inputs) to ``tolerance`` of the length.
 
+    Where few nodes find no equilibrium (they may buckle where the rod does not), more are tried.
+
     Raises ValueError where an equilibrium is not found, or takes more than ``MOST`` nodes an element.
     """
     for _ in range(MOST):
@@ -176,11 +178,14 @@ def resolved(scene: Scene, inputs: Array, tolerance: float) -> Scene:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", Unresolved)
                 found = statics.solve(u)
-            if not found.success:
-                raise ValueError(f"no equilibrium under {u} to choose nodes by: {found.message}; give other inputs")
-            if statics.resolution.error(found.state) <= tolerance:
+            if found.success and statics.resolution.error(found.state) <= tolerance:
                 continue
-            nodes = statics.resolution.would_do(found.state, tolerance)
+            if found.success:
+                nodes = statics.resolution.would_do(found.state, tolerance)
+            else:
+                nodes = tuple(k + MORE for k in scene.element_nodes)
+                if max(nodes) > MOST:
+                    raise ValueError(f"no equilibrium under {u} to choose nodes by: {found.message}; give other inputs")
             if nodes is None:
                 raise ValueError(
                     f"more than {MOST} nodes an element are needed for {tolerance:g} of the length; cut the rod into "
