@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
-from pisplit.controllers.loop.tracking import Move, check_dt, checked_window, start_input, tracked_states
+from pisplit.controllers.loop.tracking import (
+    Move,
+    check_dt,
+    checked_measurement,
+    checked_window,
+    start_input,
+    tracked_states,
+)
 from pisplit.controllers.mpc.limits import input_limits
 from pisplit.lifted.model import LiftedModel
 
@@ -78,7 +85,7 @@ class FeedForward:
         """The move for the ``reference_window`` (1, p) of step k+1; ``x_measured`` (n,) is only checked."""
         wall, cpu = time.perf_counter(), time.thread_time()
         window = checked_window(reference_window, 1, len(self.tracked))
-        finite_array(x_measured, "x_measured", (self.model.n_states,))
+        x = checked_measurement(x_measured, self.model.n_states)
         wanted = np.array(self._inverse(window[0].copy()), dtype=np.float64)
         if wanted.shape != self._u.shape:
             raise ValueError(f"inverse returned shape {wanted.shape}; expected ({len(self._u)},)")
@@ -93,4 +100,5 @@ class FeedForward:
             solve_time=time.perf_counter() - wall,
             cpu_time=time.thread_time() - cpu,
             predicted=window.copy(),
+            missing=int(np.count_nonzero(np.isnan(x))),
         )

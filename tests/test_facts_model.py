@@ -94,7 +94,8 @@ def test_inputs_that_vary_by_rounding_are_not_excited(varied: bool) -> None:
     if varied:
         u[:, 1] += rng.normal(size=400)
     x = rng.normal(size=(401, 1))
-    mean, basis = excited_inputs(Episodes([x], [u], 0.1).pairs())
+    found = excited_inputs(Episodes([x], [u], 0.1).pairs())
+    mean, basis = found.offset, found.basis
     assert mean == pytest.approx(1e3 / 3.0, rel=1e-2) and basis.shape == (2, int(varied))
     if varied:
         assert np.abs(basis[:, 0]) == pytest.approx([0.0, 1.0], abs=1e-9)

@@ -33,6 +33,7 @@ def log(units: tuple[str, ...], y: Array, reference: Array, **changes: object) -
         solve_time=np.array([0.002, 0.004]),
         cpu_time=np.array([0.002, 0.004]),
         plant_time=np.array([0.0051, 0.0051]),
+        missing=np.zeros(2, dtype=int),
         limit_violations=0,
     )
     return replace(made, **changes)  # type: ignore[arg-type]
@@ -184,7 +185,7 @@ def test_the_end_of_the_program_is_not_swallowed_but_the_log_is_kept() -> None:
         (np.zeros(2), r"step\(\) returned ndarray; expected PlantStep"),
         (PlantStep(np.zeros(3)), r"shape \(3,\); expected \(2,\)"),
         (PlantStep(np.zeros(2) + 1j), "complex"),
-        (PlantStep(np.ma.masked_greater(np.ones(2), 0.0)), "measured 2 states that are not finite"),
+        (PlantStep(np.full(2, np.inf)), "measured 2 states that are infinite"),
     ],
 )
 def test_a_plant_that_measures_nonsense_ends_the_run(answer: object, message: str) -> None:

@@ -87,4 +87,4 @@ def test_every_call_refuses_what_is_no_number(given_two_numbers: dict[str, Calla
         except ValueError as error:
             assert "\n" not in str(error)
             assert re.search(message, str(error)), (name, str(error))
-    assert not taken or (kind == "masked" and taken == ["read"])  # which reads NaN from NaN
+    assert not taken or (kind == "masked" and taken == ["read", "measurement"])  # NaN from NaN; not measured

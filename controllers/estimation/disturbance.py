@@ -46,6 +46,11 @@ class DisturbanceEstimator:
         """The estimate w (M,), added to z at every step."""
         return self._w
 
+    @property
+    def predicted(self) -> Array | None:
+        """The lifted state (M,) predicted for the coming measurement; None before the first and once it is used."""
+        return self._predicted
+
     def reset(self) -> None:
         """Forget the estimate and the last prediction."""
         self._w = np.zeros(len(self._c))

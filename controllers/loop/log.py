@@ -28,12 +28,13 @@ def shown_unit(unit: str) -> tuple[str, float]:
 class LoopLog:
     """Record of N closed-loop steps; states have N + 1 rows, row 0 at the start.
 
-    dt [s], t (N+1,) [s], x (N+1, n) measured states in the order of the model, reference (N+1, p) with NaN where an
-    output was free, u (N, m) applied inputs, u0 (m,) the input before them. ``tracked`` (p,): indices of the tracked
-    states. ``state_names``, ``state_units`` (n,) and ``input_names``, ``input_units`` (m,) in the order of the model; a
-    unit is "" where nobody told it.
+    dt [s], t (N+1,) [s], x (N+1, n) measured states in the order of the model, NaN where nothing was measured,
+    reference (N+1, p) with NaN where an output was free, u (N, m) applied inputs, u0 (m,) the input before them.
+    ``tracked`` (p,): indices of the tracked states. ``state_names``, ``state_units`` (n,) and ``input_names``,
+    ``input_units`` (m,) in the order of the model; a unit is "" where nobody told it.
     Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
-    ``plant_time`` [s]. ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
+    ``plant_time`` [s]; ``missing``: how many entries of the measurement that the move answers to were not there.
+    ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
     ``message``: why the run ended early, empty otherwise; the arrays hold what was run. ``notes``: what else is to be
     known, e.g. a reference far outside the training data.
     """
@@ -55,6 +56,7 @@ class LoopLog:
     solve_time: Array
     cpu_time: Array
     plant_time: Array
+    missing: Array
     limit_violations: int
     message: str = ""
     notes: tuple[str, ...] = ()
@@ -101,7 +103,8 @@ class LoopLog:
 
     @property
     def error(self) -> Array:
-        """Distance (N+1,) of the tracked outputs from the reference, over the outputs that it specifies.
+        """Distance (N+1,) of the tracked outputs from the reference, over the outputs that it specifies; NaN where one
+        of them was not measured.
 
         Raises ValueError for outputs of several units: see ``rms_errors``.
         """
@@ -113,19 +116,16 @@ class LoopLog:
         """Root mean square of ``error`` over ``after`` < t <= ``before`` [s], in output units. NaN if nothing was run
         there.
 
-        The preview moves the plant ahead of a jump: read steady errors from windows that end H steps before it.
+        Rows in which a tracked output was not measured are left out. The preview moves the plant ahead of a jump: read
+        steady errors from windows that end H steps before it.
         """
-        chosen = self._between(after, before)
-        return float(np.sqrt(np.mean(self.error[chosen] ** 2))) if chosen.any() else float("nan")
+        return _rms(self.error[self._between(after, before)])
 
     def rms_errors(self, after: float = 0.0, before: float = np.inf) -> dict[str, float]:
         """As ``rms_error`` over ``after`` < t <= ``before`` [s], apart for the outputs of each unit: unit -> error."""
         chosen, units = self._between(after, before), np.array(self.output_units)
         groups = {unit: np.flatnonzero(units == unit).tolist() for unit in dict.fromkeys(self.output_units)}
-        return {
-            unit: float(np.sqrt(np.mean(self._distance(group)[chosen] ** 2))) if chosen.any() else float("nan")
-            for unit, group in groups.items()
-        }
+        return {unit: _rms(self._distance(group)[chosen]) for unit, group in groups.items()}
 
     def summary(self) -> str:
         """A few lines for people; errors in the outputs' own units (metres as mm), without one where it is unknown."""
@@ -142,6 +142,9 @@ class LoopLog:
                 f"{found}; {self.unsolved} not to tolerance, {self.fallbacks} fallbacks, "
                 f"{self.limit_violations} limit violations"
             )
+        gaps = np.count_nonzero(self.missing)
+        if gaps:
+            lines.append(f"{gaps} steps with missing measurements, {int(self.missing.sum())} entries in all, bridged")
         lines += self.notes
         if self.stopped:
             lines.append(f"stopped: {self.message}")
@@ -169,6 +172,8 @@ class LoopLog:
                     parts[item.name] = store.read_strings(file, item.name)
                 elif item.name == "message":
                     parts[item.name] = store.read_text(file, item.name)
+                elif item.name == "missing" and item.name not in file:  # of a version that stopped at the first gap
+                    parts[item.name] = np.zeros(len(file["u"]), dtype=int)
                 else:
                     parts[item.name] = np.asarray(file[item.name][()])
             parts["dt"], parts["limit_violations"] = float(parts["dt"]), int(parts["limit_violations"])  # type: ignore[arg-type, call-overload]
@@ -179,11 +184,16 @@ class LoopLog:
         return np.asarray((self.t > non_negative(after, "after", "s")) & (self.t <= before))
 
     def _distance(self, outputs: Sequence[int]) -> Array:
-        missed = (self.y - self.reference)[:, list(outputs)]
-        return np.asarray(np.sqrt(np.nansum(missed**2, axis=1)))
+        y, wanted = self.y[:, list(outputs)], self.reference[:, list(outputs)]
+        return np.asarray(np.sqrt((np.where(np.isnan(wanted), 0.0, y - wanted) ** 2).sum(axis=1)))
 
 
 _TEXTS = ("state_names", "input_names", "state_units", "input_units", "statuses", "notes")
+
+
+def _rms(error: Array) -> float:
+    known = error[np.isfinite(error)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
 
 def _text(value: float, unit: str) -> str:

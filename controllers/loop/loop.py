@@ -60,10 +60,11 @@ class ClosedLoop:
         """Run ``steps`` steps from rest under ``u0`` (m,), zeros if not given, along the ``reference``.
 
         The reference has the coordinates of the whole tracked group in its own order, or those of the tracked axes.
-        A plant that fails, leaves 1e3 times the range of the training data or measures numbers that are not finite
-        ends the run; so do an exception in plant or controller and a keyboard interrupt: the log of what was run is
-        returned, and its ``message`` says why (``log`` has it too). Raises ValueError if reference and controller do
-        not fit. ``progress``: show a bar. A reference beyond three times the range of the training data is warned of.
+        A plant that fails, leaves 1e3 times the range of the training data or measures infinities ends the run; so do
+        an exception in plant or controller and a keyboard interrupt: the log of what was run is returned, and its
+        ``message`` says why (``log`` has it too). NaN is taken for not measured: the controller bridges it, counted in
+        the log. Raises ValueError if reference and controller do not fit. ``progress``: show a bar. A reference beyond
+        three times the range of the training data is warned of.
         """
         N = count(steps, "steps")
         plant, controller = self.plant, self.controller
@@ -74,10 +75,13 @@ class ClosedLoop:
         x0 = self._wiring.measured(plant.reset(self._wiring.applied(start)))
         self._take_turn()
         problem = _fault(x0, controller)
+        if not problem and np.isnan(x0).any() and not getattr(controller, "estimates", False):
+            problem = f"measured {np.count_nonzero(np.isnan(x0))} states that are NaN"
         if problem:
             raise ValueError(f"the plant at rest {problem}; check the model's units and the plant")
         bound = _bound(reference, controller, x0)
         self._record = Recorder(bound, np.zeros((0, len(controller.tracked))), start, [x0])
+        self._record.notes += getattr(controller, "notes", ())
         self._look_ahead(N)
         self._warn_if_far()
         return self._go_on(N, progress)
@@ -212,12 +216,12 @@ def _able(part: Any) -> Any:
 
 def _fault(x: Array, controller: Controller) -> str:
     """What is wrong with a measured state, or an empty text."""
-    if not np.isfinite(x).all():
-        return f"measured {np.count_nonzero(~np.isfinite(x))} states that are not finite"
+    if np.isinf(x).any():
+        return f"measured {np.count_nonzero(np.isinf(x))} states that are infinite"
     tracked = list(controller.tracked)
     y, reach = np.abs(x[tracked]), DIVERGENCE_FACTOR * controller.model.state_range[tracked]
-    if (y > reach).any():
-        i = int(np.argmax(y / reach))
+    if (y > reach).any():  # False where nothing was measured
+        i = int(np.nanargmax(y / reach))
         return f"diverged: {controller.model.state_names[tracked[i]]} = {y[i]:.3g} left 1e3 times the training range"
     return ""
 

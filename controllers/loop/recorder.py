@@ -65,6 +65,7 @@ class Recorder:
             solve_time=np.array([move.solve_time for move in moves]),
             cpu_time=np.array([move.cpu_time for move in moves]),
             plant_time=np.array(self.plant_time[:N]),
+            missing=np.array([move.missing for move in moves], dtype=int),
             limit_violations=_count_violations(u, self.u0, controller),
             message=self.message,
             notes=tuple(self.notes),

@@ -21,7 +21,8 @@ class Move:
     u (m,): input to apply over the coming step, inside all limits. ``status``: the solver's word, or why there was no
     solve, after so many ``iterations``. ``fallback``: True if u comes from the last good plan instead. ``solve_time``:
     wall time of the whole step [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs
-    expected under the plan.
+    expected under the plan. ``missing``: entries of the measurement that were not there (NaN), for which the model's
+    prediction stood.
     """
 
     u: Array
@@ -31,6 +32,7 @@ class Move:
     solve_time: float
     cpu_time: float
     predicted: Array
+    missing: int = 0
 
 
 class Controller(Protocol):
@@ -76,7 +78,10 @@ class Controller(Protocol):
         """Start anew from rest under u0 (m,)."""
 
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
-        """The move for ``x_measured`` (n,) and ``reference_window`` (horizon, p) of the coming steps."""
+        """The move for ``x_measured`` (n,), NaN where nothing was measured.
+
+        ``reference_window`` (horizon, p): outputs wanted at the coming steps.
+        """
 
 
 @dataclass(frozen=True)
@@ -140,6 +145,19 @@ def check_dt(model: LiftedModel, dt: float | None) -> None:
     """Raise ValueError if a wanted time step ``dt`` [s] is not that of the ``model``."""
     if dt is not None:
         check_same_step(dt, model.dt, "the loop is asked for", "the model has")
+
+
+def checked_measurement(x: ArrayLike, n_states: int) -> Array:
+    """The measured state ``x`` as float (``n_states``,); NaN entries were not measured.
+
+    Raises ValueError on another shape or infinities.
+    """
+    state = real_array(x, "x_measured")
+    if state.shape != (n_states,):
+        raise ValueError(f"x_measured has shape {state.shape}; expected ({n_states},): the states of the model")
+    if np.isinf(state).any():
+        raise ValueError("x_measured has infinite entries; give numbers, or NaN where nothing was measured")
+    return state
 
 
 def checked_window(window: ArrayLike, horizon: int, n_outputs: int) -> Array:

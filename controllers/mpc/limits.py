@@ -105,6 +105,20 @@ def input_limits(
     return limits
 
 
+def directions(basis: ArrayLike, n_inputs: int) -> Array:
+    """An orthonormal basis (``n_inputs``, r) of the columns of ``basis`` (``n_inputs``, r).
+
+    Raises ValueError on another shape and on columns that depend on each other.
+    """
+    columns = finite_array(basis, "input_basis", (n_inputs, None))
+    if columns.shape[1] == 0 or np.linalg.matrix_rank(columns) < columns.shape[1]:
+        raise ValueError(
+            f"input_basis has {columns.shape[1]} columns of rank {np.linalg.matrix_rank(columns)}; "
+            "give independent directions, np.eye(m) for all"
+        )
+    return np.linalg.qr(columns)[0]
+
+
 def _each_input(value: ArrayLike, name: str, n_inputs: int) -> Array:
     if np.ndim(value) == 0:
         value = np.full(n_inputs, value)

@@ -12,16 +12,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import ArpackError, eigs
 
-from pisplit.checks import Array, count, finite_array, non_negative, positive, real_array
+from pisplit.checks import Array, count, non_negative, positive, real_array
 from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
 from pisplit.controllers.loop.history import History
-from pisplit.controllers.loop.tracking import Move, check_dt, checked_window, start_input, tracked_states
+from pisplit.controllers.loop.tracking import (
+    Move,
+    check_dt,
+    checked_measurement,
+    checked_window,
+    start_input,
+    tracked_states,
+)
 from pisplit.controllers.mpc.condense import condense
-from pisplit.controllers.mpc.limits import input_limits
+from pisplit.controllers.mpc.limits import directions, input_limits
 from pisplit.controllers.mpc.problem import ProblemState, TrackingProblem, Weights
-from pisplit.controllers.mpc.qp import QPSettings
+from pisplit.controllers.mpc.qp import QPResult, QPSettings
 from pisplit.controllers.mpc.relinearise import AlongPlan
 from pisplit.data.columns import in_order
+from pisplit.data.input_subspace import combination
 from pisplit.evaluation.matching import Fitted, model_of
 from pisplit.lifted.model import LiftedModel
 
@@ -31,12 +39,15 @@ GROWTH_LIMIT = 100.0
 @dataclass(frozen=True, eq=False)
 class MPCState:
     """An MPC between two steps: ``history`` of delays, last ``plan`` (None before the first), states of the disturbance
-    ``estimator`` and of the ``problem``."""
+    ``estimator`` and of the ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None
+    before it; steps ``blind`` since anything was measured."""
 
     history: History
     plan: Array | None
     estimator: EstimatorState
     problem: ProblemState
+    readout: Array | None
+    blind: int
 
 
 class MPC:
@@ -48,7 +59,9 @@ class MPC:
 
     ``model``: the identified model, with at least one input; ``horizon``: H steps.
     u_min, u_max, du_max: numbers or (m,), in input units, du_max per step; a = (u_max - u_min)/2 of each input. They
-    hold exactly for every applied input, and u stays in input_offset + span(input_basis) of the model.
+    hold exactly for every applied input, and u stays in input_offset + span(input_basis) of the model, the directions
+    that its recordings excite; ``input_basis`` (m, r), if given, replaces them (np.eye(m): every direction). ``notes``
+    say which directions are kept and which are held, where not all of them are free by themselves.
     ``track``: an output name of the model, or a list of state names or indices; ``axes`` picks coordinates of it in any
     order, e.g. (0, 1): outputs, weights, limits and predictions have the order of ``axes``.
     ``output_scale`` e: sizes of the outputs, a number or (p,) in output units; the range of each in the training data
@@ -90,20 +103,23 @@ class MPC:
         output_slack_weight: float | None = None,
         output_scale: ArrayLike | None = None,
         qp: QPSettings | None = None,
+        input_basis: ArrayLike | None = None,
     ) -> None:
         self.model = model = model_of(model, "model")
         self.horizon = count(horizon, "horizon")
         check_dt(model, dt)
         target = tracked_states(model, track, axes)
         self.track, self.group, self.axes, self.tracked = target.name, target.group, target.axes, target.states
-        self._limits = input_limits(u_min, u_max, du_max, model.n_inputs, model.input_offset, model.input_basis)
+        basis = model.input_basis if input_basis is None else directions(input_basis, model.n_inputs)
+        self._limits = input_limits(u_min, u_max, du_max, model.n_inputs, model.input_offset, basis)
+        self.notes = _held_directions(model, basis, input_basis is not None)
         p, H = len(self.tracked), self.horizon
         rows = list(self.tracked)
         self._read, self._read_offset = model.C[rows], model.d[rows]
         self._condensed = condense(model.A, model.B, model.c, self._read, self._read_offset, H)
         _warn_of_growth(model.A, H)
         self._history: History
-        self._plan: Array | None = None
+        self._readout: Array | None
         self._estimator = DisturbanceEstimator(model.A, model.B, model.c, estimator_gain)
         self._response = self._condensed.response()
         self._linear = model.linear_in_u
@@ -171,7 +187,9 @@ class MPC:
     def snapshot(self) -> MPCState:
         """What the next step depends on beside the arguments of the controller; ``restore`` goes on from there."""
         plan = None if self._plan is None else self._plan.copy()
-        return MPCState(copy.deepcopy(self._history), plan, self._estimator.snapshot(), self._problem.snapshot())
+        readout = None if self._readout is None else self._readout.copy()
+        parts = self._estimator.snapshot(), self._problem.snapshot()
+        return MPCState(copy.deepcopy(self._history), plan, *parts, readout, self._blind)
 
     def restore(self, state: MPCState) -> None:
         """Go on, to the last bit, from a ``state`` that a controller with the same arguments took by ``snapshot``.
@@ -184,36 +202,50 @@ class MPC:
         self._estimator.restore(state.estimator)
         self._history = copy.deepcopy(state.history)
         self._plan = None if state.plan is None else state.plan.copy()
+        self._readout = None if state.readout is None else state.readout.copy()
+        self._blind = state.blind
 
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
         """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (H, p) of steps k+1 .. k+H.
 
-        NaN in the reference is a free output.
+        NaN in the reference is a free output, NaN in the measurement was not measured: the model's prediction stands
+        for it. After a whole horizon without any measurement the last plan goes on to its steady end.
 
         Where no accepted solution exists the last good plan goes on, shifted, and at its end the input is held.
-        Raises ValueError on wrong shapes and on measurements that are not finite.
+        Raises ValueError on wrong shapes and on infinite measurements.
         """
         wall, cpu = time.perf_counter(), time.thread_time()
         r = checked_window(reference_window, self.horizon, len(self.tracked)).ravel()
-        named = in_order(x_measured, self.model.state_names, "states")
-        x = finite_array(named, "x_measured", (self.model.n_states,))
+        measured = checked_measurement(in_order(x_measured, self.model.state_names, "states"), self.model.n_states)
         problem, limits, history = self._problem, self._limits, self._history
+        missing = int(np.count_nonzero(np.isnan(measured)))
+        self._blind = self._blind + 1 if missing == len(measured) else 0
 
-        history.measure(x)
+        v_previous = limits.coordinates(history.u_previous) / problem.scale
+        plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
         with np.errstate(over="ignore", invalid="ignore"):  # a lift that overflows ends as a status, not as a warning
-            z = self.model.lift(history.states, history.inputs)
-            w = self._estimator.update(z)
-            v_previous = limits.coordinates(history.u_previous) / problem.scale
-            plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
-            S, y_free = self._response_along(z, w, problem.moves(plan))
-            # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
-            y_free += np.tile(x[list(self.tracked)] - self._read @ z - self._read_offset, self.horizon)
-            result = problem.solve(y_free, r, v_previous, plan, S)
+            x = self._bridged(measured)
+            if x is None:  # nothing is known yet: the arm rests
+                result = QPResult("not measured yet", None, 0, np.inf)
+                predicted = np.full((self.horizon, len(self.tracked)), np.nan)
+            else:
+                history.measure(x)
+                z = self.model.lift(history.states, history.inputs)
+                w = self._estimator.update(z)
+                # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
+                self._readout = x - self.model.read(z)
+                S, y_free = self._response_along(z, w, problem.moves(plan))
+                y_free += np.tile(self._readout[list(self.tracked)], self.horizon)
+                if self._blind > self.horizon:
+                    result = QPResult("blind for more than the horizon", None, 0, np.inf)
+                else:
+                    result = problem.solve(y_free, r, v_previous, plan, S)
             self._plan = plan if result.x is None else result.x
-            wanted = limits.offset + self._T @ problem.moves(self._plan)[0]
-            u = limits.project(wanted, history.u_previous)
-            self._estimator.predict(z, u if self._linear else self.model.features(u[None, :])[0], self._products(z, u))
-            predicted = problem.outputs(y_free, self._plan)
+            u = limits.project(limits.offset + self._T @ problem.moves(self._plan)[0], history.u_previous)
+            if x is not None:
+                applied = u if self._linear else self.model.features(u[None, :])[0]
+                self._estimator.predict(z, applied, self._products(z, u))
+                predicted = problem.outputs(y_free, self._plan)
         history.apply(u)
         return Move(
             u=u,
@@ -223,11 +255,24 @@ class MPC:
             solve_time=time.perf_counter() - wall,
             cpu_time=time.thread_time() - cpu,
             predicted=predicted,
+            missing=missing,
         )
+
+    def _bridged(self, measured: Array) -> Array | None:
+        """The measurement (n,), predicted where it is NaN; None where nothing was measured yet to predict from."""
+        absent = np.isnan(measured)
+        if not absent.any():
+            return measured
+        predicted = self._estimator.predicted
+        if predicted is None or self._readout is None or not np.isfinite(predicted).all():
+            return None
+        return np.where(absent, self.model.read(predicted) + self._readout, measured)
 
     def _start(self, u0: Array) -> None:
         self._history = History(self.model.n_delays, self.model.n_states, u0)
         self._plan = None
+        self._readout = None
+        self._blind = 0
 
     def _response_along(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
         """S (H p, H r), or None where it never changes, and y_free (H p,) for a plan v (H, r): y = y_free + S v."""
@@ -271,6 +316,19 @@ def _each_output(value: ArrayLike, name: str, n_outputs: int) -> Array:
     if array.shape != (n_outputs,) or np.isnan(array).any():
         raise ValueError(f"{name} = {value!r}; expected a number or {n_outputs} numbers, one a tracked output")
     return array
+
+
+def _held_directions(model: LiftedModel, basis: Array, given: bool) -> tuple[str, ...]:
+    """Lines on the directions in which inputs may move, where the recordings or the user leave some of them out."""
+    known = model.provenance.get("input_directions", [])
+    if given:
+        return (f"inputs move in {basis.shape[1]} of {model.n_inputs} directions, as given in input_basis", *known)
+    if basis.shape[1] == model.n_inputs:
+        return ()
+    if not known:
+        held = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :].T
+        known = [f"{combination(row, model.input_names)}: held" for row in held]
+    return ("inputs move in the directions that the recordings excite; input_basis overrides", *known)
 
 
 def _warn_of_growth(A: Array, horizon: int) -> None:

@@ -26,7 +26,7 @@ class QPSettings:
     """
 
     eps: float = 1e-4
-    max_iterations: int = 100
+    max_iterations: int = 200
     first_max_iterations: int = 4000
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from pisplit.checks import finite_array, positive
 from pisplit.data import episode_files, matlab, recordings, tables
 from pisplit.data.columns import column_order, default_names, labels, regrouped, table_columns, unit_factors
 from pisplit.data.episode_checks import checked_arrays, extra_arrays, output_groups
-from pisplit.data.input_subspace import excited_directions
+from pisplit.data.input_subspace import InputDirections, excited_directions
 from pisplit.data.pairs import Pairs, Start, all_pairs, checked_pairs
 from pisplit.data.rows import Rows
 
@@ -226,12 +226,23 @@ class Episodes:
             raise ValueError(f"episode {episode} has {len(u)} steps; {n_delays} delays need at least {n_delays + 1}")
         return Start(x_history=x[: n_delays + 1], u_history=u[:n_delays], inputs=u[n_delays:], states=x[n_delays:])
 
+    def input_directions(self) -> InputDirections:
+        """Directions in which the inputs vary, how much, and which of them a model can be held to know.
+
+        A direction is kept if its spread exceeds 3 % of the largest; ``lines(input_names)`` says it of each.
+        """
+        u = self.stacked_inputs()
+        mean = u.mean(axis=0)
+        largest = np.abs(u).max(axis=0, initial=0.0)
+        return excited_directions(mean, u - mean, largest, len(u), self.input_units)
+
     def input_subspace(self) -> tuple[Array, Array]:
         """Mean input (m,) and an orthonormal basis (m, r) of the directions in which the inputs vary.
 
-        A direction counts if its singular value exceeds 1e-6 of the largest.
+        Those that ``input_directions`` keeps.
         """
-        return excited_directions(self.stacked_inputs())
+        found = self.input_directions()
+        return found.offset, found.basis
 
     def stacked_states(self) -> Array:
         """All states of all episodes (sum of T_i + 1, n), the memory of ``xs``."""

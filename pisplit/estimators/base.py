@@ -173,7 +173,8 @@ class Estimator(Parameters):
             "details": dict(fit.details),
             "data": dict(problem.d1.provenance or {}),
         }
-        self.lifted = replace(problem.model(fit.K), provenance=provenance)
+        made = problem.model(fit.K)
+        self.lifted = replace(made, provenance={**made.provenance, **provenance})
         self.theta_, self.fit_, self.K_ = problem.theta, fit, fit.K
         self.alpha_, self.cv_, self.bounded_ = choice.alpha, choice.search, choice.bounded
         return self

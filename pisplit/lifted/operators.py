@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.input_subspace import InputDirections, excited_directions
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.lifted.model import LiftedModel
@@ -20,8 +21,6 @@ Array = NDArray[np.float64]
 
 #: Ridge of the read-out, relative to the mean diagonal of its Gram matrix: columns may be collinear.
 READ_OUT_ALPHA = 1e-10
-#: Singular value of a direction in which inputs vary, relative to the largest.
-EXCITED = 1e-6
 
 
 def lifted_model(
@@ -42,7 +41,7 @@ def lifted_model(
     ``provenance`` is kept with the model.
     """
     read, offset = _read_out(theta, pairs, samples)
-    mean, basis = excited_inputs(pairs)
+    inputs = excited_inputs(pairs, episodes.input_units)
     return LiftedModel(
         **operators(theta, k),
         c=np.zeros(theta.n_lifted),
@@ -56,11 +55,11 @@ def lifted_model(
         input_names=theta.names.inputs,
         column_names=theta.lifted_names,
         feature_names=theta.feature_names,
-        input_offset=mean,
-        input_basis=basis,
+        input_offset=inputs.offset,
+        input_basis=inputs.basis,
         state_range=state_range(pairs, theta.names.quantities),
         outputs={name: tuple(group) for name, group in (episodes.outputs or {}).items()},
-        provenance=dict(provenance),
+        provenance={**provenance, "input_directions": list(inputs.lines(theta.names.inputs))},
         state_units=episodes.units,
         input_units=episodes.input_units,
     )
@@ -130,16 +129,19 @@ def state_range(pairs: Pairs, quantities: Sequence[str]) -> Array:
     return pooled
 
 
-def excited_inputs(pairs: Pairs) -> tuple[Array, Array]:
-    """Mean (m,) of the inputs of the pairs, past ones too, and an orthonormal basis (m, r) of where they vary.
-
-    A direction counts if its singular value exceeds ``EXCITED`` of the largest.
-    """
+def excited_inputs(pairs: Pairs, units: Sequence[str] | None = None) -> InputDirections:
+    """Directions in which the inputs of the pairs vary, past ones too; ``units`` (m,) of the inputs."""
     size = pairs.inputs.shape[1]
     if size == 0:
-        return np.zeros(0), np.zeros((0, 0))
-    moments = accumulate(np.vstack([b.u, b.u_history.reshape(-1, size)]) for b in pairs.blocks())
-    _, values, directions = np.linalg.svd(moments.factor, full_matrices=False)
-    rounding = np.finfo(float).eps * float(np.abs(moments.mean).max()) * moments.n_samples
-    excited = values > max(EXCITED * float(values.max(initial=0.0)), rounding)
-    return moments.mean, directions[excited].T.copy()
+        nothing = np.zeros(0)
+        return excited_directions(nothing, np.zeros((0, 0)), nothing, 0)
+    largest = np.zeros(size)
+
+    def blocks() -> Iterator[Array]:
+        for b in pairs.blocks():
+            u = np.vstack([b.u, b.u_history.reshape(-1, size)])
+            np.maximum(largest, np.abs(u).max(axis=0), out=largest)
+            yield u
+
+    moments = accumulate(blocks())
+    return excited_directions(moments.mean, moments.factor, largest, moments.n_samples, units)
