@@ -159,12 +159,40 @@ def test_every_exported_name_exists_and_none_hides_a_module() -> None:
     folder = Path(pisplit.__file__).parent
     for name in pisplit.__all__:
         assert hasattr(pisplit, name)
-        assert name == "observables" or not (folder / f"{name}.py").exists()
+        assert name in ("observables", "references") or not (folder / f"{name}.py").exists()
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:
-    heavy = ("cvxpy", "matplotlib", "joblib", "scipy.cluster", "scipy.optimize")
+    heavy = ("casadi", "cvxpy", "matplotlib", "joblib", "numpy", "scipy", "h5py", "osqp", "pisplit.models")
     code = f"import sys, pisplit; print([m for m in {heavy} if m in sys.modules])"
     tree = str(Path(__file__).resolve().parent.parent)
     found = subprocess.run([sys.executable, "-c", code], cwd=tree, capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_lazy_names_are_those_that_type_checkers_see() -> None:
+    import ast
+
+    import pisplit
+
+    tree = ast.parse(Path(pisplit.__file__).read_text())
+    (typed,) = [n for n in tree.body if isinstance(n, ast.If) and "TYPE_CHECKING" in ast.unparse(n.test)]
+    seen = {a.asname: n.module for n in typed.body if isinstance(n, ast.ImportFrom) for a in n.names}
+    assert sorted(seen) == pisplit.__all__ == sorted({*pisplit._HOME, *pisplit._MODULES})
+    assert {name: seen[name] for name in pisplit._HOME} == pisplit._HOME
+    assert set(pisplit.__all__) <= set(dir(pisplit))
+    with pytest.raises(AttributeError, match="has no attribute 'LinearEDMD'"):
+        pisplit.LinearEDMD  # noqa: B018
+
+
+def test_the_version_stands_in_one_place() -> None:
+    import re
+
+    import tomllib
+
+    import pisplit
+
+    project = tomllib.loads((Path(__file__).resolve().parent.parent / "pyproject.toml").read_text())
+    assert project["project"]["dynamic"] == ["version"] and "version" not in project["project"]
+    assert project["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "pisplit.__version__"}
+    assert re.fullmatch(r"0\.2\.0", pisplit.__version__)

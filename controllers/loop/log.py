@@ -6,11 +6,15 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pisplit.checks import Array, non_negative
 from pisplit.data import store
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 KIND = "pisplit/loop-log"
 #: Units that people read in another one: label, factor.
@@ -150,10 +154,16 @@ class LoopLog:
             lines.append(f"stopped: {self.message}")
         return "\n".join(lines)
 
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Outputs and reference, their distance and the inputs over time; written to ``path`` where one is given."""
+        from pisplit.controllers.loop.pictures import plot_log
+
+        return plot_log(self, path)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the log to the HDF5 file ``path``, whole or not at all."""
         with store.writing(path, KIND) as file:
-            for item in fields(self):
+            for item in fields(LoopLog):
                 value = getattr(self, item.name)
                 if item.name in _TEXTS:
                     store.write_strings(file, item.name, value)
@@ -167,7 +177,7 @@ class LoopLog:
         """Read the log saved at ``path``. Raises one line for files that are missing, damaged or of another kind."""
         with store.reading(path, KIND) as file:
             parts: dict[str, object] = {}
-            for item in fields(cls):
+            for item in fields(LoopLog):
                 if item.name in _TEXTS:
                     parts[item.name] = store.read_strings(file, item.name)
                 elif item.name == "message":

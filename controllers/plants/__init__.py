@@ -2,6 +2,7 @@
 
 from pisplit.controllers.plants.commands import ActuatedPlant, DelayedCommands, QuantisedCommands
 from pisplit.controllers.plants.measurements import DelayedMeasurements, LostMeasurements, NoisyMeasurements, Outliers
+from pisplit.controllers.plants.modelled import ModelPlant
 from pisplit.controllers.plants.remote import SocketPlant, serve
 from pisplit.controllers.plants.wrapped import WrappedPlant
 
@@ -10,6 +11,7 @@ __all__ = [
     "DelayedCommands",
     "DelayedMeasurements",
     "LostMeasurements",
+    "ModelPlant",
     "NoisyMeasurements",
     "Outliers",
     "QuantisedCommands",

@@ -12,6 +12,7 @@ from pisplit.models.arm.recording import (
     make_phase_samples,
     random_displacements,
 )
+from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.static_table import EquilibriumTable, OutsideTable, equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.arm.twin import twin_alone, twin_dictionaries, twin_dictionary
@@ -22,6 +23,7 @@ __all__ = [
     "EquilibriumTable",
     "MultiSectionArm",
     "OutsideTable",
+    "RestShapes",
     "TendonArm",
     "deviations_from_equilibrium",
     "equilibrium_table",

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pisplit.checks import Array, finite_number, non_negative
 from pisplit.models import rod
 from pisplit.models.rod.terms.pull import TendonTerm
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+    from pisplit import Episodes
+    from pisplit.models.arm.resting import RestShapes
 
 
 @dataclass(frozen=True)
@@ -103,6 +113,78 @@ class Arm:
     def rest_inputs(self) -> Array:
         """Displacements (m,) of the pretensioned arm at rest."""
         return np.full(self.scene.n_inputs, self.pretension)
+
+    def to_scene(self) -> rod.Scene:
+        """The rod scene of the arm, to add terms to it or to leave some out; ``replace(arm, scene=...)`` is an arm."""
+        return self.scene
+
+    def record(
+        self,
+        episodes: int,
+        seed: int = 0,
+        steps: int = 200,
+        dt: float | None = None,
+        stations: int = 6,
+        path: str | os.PathLike[str] | None = None,
+        workers: int | None = None,
+        progress: bool = True,
+        law: str = "zero-sum",
+    ) -> Episodes:
+        """Recordings of the simulated arm from rest under random smooth displacements (``make_episodes``).
+
+        Args:
+            episodes: their number.
+            seed: of the displacements.
+            steps: of each recording.
+            dt: time step in s; about a twentieth of the slowest period if not given (``time_step``).
+            stations: number of points along the arm whose 24 fields are recorded.
+            path: of an HDF5 file that keeps them; none if not given.
+            workers: processes, -1 for one a core; chosen by the amount of work if not given.
+            progress: whether to show a bar.
+            law: of the inputs, "zero-sum" or "independent".
+        """
+        from pisplit.models.arm.resting import recorded
+
+        step = self.time_step if dt is None else dt
+        return recorded(self, episodes, seed, steps, step, stations, path, workers, progress, law)
+
+    def rest_shapes(
+        self, number: int = 16, seed: int = 0, stations: int = 6, position_noise: float = 0.0, angle_noise: float = 0.0
+    ) -> RestShapes:
+        """Shapes of the simulated arm at rest under random displacements: what a few photographs of a robot give.
+
+        Args:
+            number: of shapes.
+            seed: of displacements and noise.
+            stations: number of points along the arm.
+            position_noise: standard deviation in m of positions.
+            angle_noise: standard deviation in rad of frames.
+        """
+        from pisplit.models.arm.resting import rest_shapes
+
+        return rest_shapes(self, number, seed, stations, position_noise, angle_noise)
+
+    @cached_property
+    def time_step(self) -> float:
+        """Time step in s for recordings and control: 1/21.5 of the slowest period at rest, to one digit.
+
+        That of the paper's arm is 0.03 s. It is between 1 ms and 0.1 s.
+        """
+        from pisplit.models.arm.drawing import slowest
+
+        step = float(np.clip(2.0 * np.pi / slowest(self.scene, self.rest_inputs)[0] / 21.5, 1e-3, 0.1))
+        digit = 10.0 ** np.floor(np.log10(step))
+        return round(round(step / digit) * digit, 6)
+
+    def plot(self, u: ArrayLike | None = None, title: str = "") -> Figure:
+        """The arm at rest under displacements ``u`` (m,) or (N, m) in m, in 3-D and the way it hangs.
+
+        ``u`` is that of the arm at rest if not given; of several the last is drawn, the others as ghosts. ``title``
+        stands over the picture. Raises ValueError where it does not rest.
+        """
+        from pisplit.models.arm.resting import plot_at_rest
+
+        return plot_at_rest(self, u, title)
 
     def check_one_section(self, what: str) -> None:
         """Raise ValueError where ``what`` is for arms of one section and this one has several."""

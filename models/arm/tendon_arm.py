@@ -2,25 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pisplit.models import rod
 from pisplit.models.arm.base import Arm, paper_scene
+from pisplit.models.arm.drawing import drawn_scene
 from pisplit.models.rod.terms.pull import TendonTerm
 
 
 @dataclass(frozen=True)
 class TendonArm(Arm):
-    """An elastic backbone with one group of tendons that are pulled by displacements.
+    """An elastic backbone with one group of tendons that are pulled by displacements: a scene, or a drawing of it.
 
     Raises ValueError where the scene has no tendons, several groups of them, or other inputs, or where pretension or
-    amplitude are no lengths.
+    amplitude are no lengths; for a drawing that misses a word, has numbers in other units, or does not rest.
 
-    Attributes:
-        scene: backbone, environment and tendons: the arm itself.
-        pretension: common displacement in m of all tendons at rest; it keeps them taut.
-        amplitude: usual size in m of differential displacements.
+    Args:
+        scene: backbone, environment and tendons: the arm itself, made from the words below where it is not given.
+        pretension: common displacement in m of all tendons at rest; it keeps them taut. A drawn arm has by default what
+            gives 1.5 times the tension that holds it bent and against its weight.
+        amplitude: usual size in m of differential displacements; of a drawn arm what turns its tip by 0.66 rad.
+        length: of the backbone in m.
+        radius: of the backbone in m.
+        material: "steel", "nitinol", "carbon fibre", "fibreglass", "nylon" or ``rod.Elastic``.
+        offset: of the tendons from the axis in m.
+        angles_deg: of the tendons about the axis in degrees, from x towards y.
+        mass: of backbone and disks together in kg, even along the arm; that of the bare backbone if not given.
+        tip_mass: at the tip in kg.
+        damping_ratio: of the slowest motion about rest, in parts of critical damping.
+        down: where gravity pulls, as seen from the arm, whose straight backbone points along +z from its base:
+            "+z" hangs, "-z" stands, "-x" reaches out sideways.
+        tendon_stiffness: tension of a tendon per strain (its EA) in N.
+        nodes: number of Gauss nodes.
     """
+
+    def __init__(
+        self,
+        scene: rod.Scene | None = None,
+        pretension: float | None = None,
+        amplitude: float | None = None,
+        *,
+        length: float | None = None,
+        radius: float | None = None,
+        material: str | rod.Elastic | None = None,
+        offset: float | None = None,
+        angles_deg: Sequence[float] = (0.0, 120.0, 240.0),
+        mass: float | None = None,
+        tip_mass: float = 0.0,
+        damping_ratio: float = 0.05,
+        down: str = "+z",
+        tendon_stiffness: float = 1e4,
+        nodes: int = 5,
+    ) -> None:
+        words = {"length": length, "radius": radius, "material": material, "offset": offset}
+        given = [name for name, value in words.items() if value is not None]
+        if scene is None:
+            if length is None or radius is None or material is None or offset is None:
+                missing = ", ".join(name for name in words if name not in given)
+                raise ValueError(f"TendonArm misses {missing}; a drawing says {', '.join(words)}, or give a scene")
+            scene, taut, usual = drawn_scene(
+                length,
+                radius,
+                material,
+                offset,
+                angles_deg,
+                mass,
+                tip_mass,
+                damping_ratio,
+                down,
+                tendon_stiffness,
+                nodes,
+            )
+            pretension = taut if pretension is None else pretension
+            amplitude = usual if amplitude is None else amplitude
+        elif given:
+            raise ValueError(f"TendonArm has a scene and the words {', '.join(given)}; give one or the other")
+        for name, value in (("scene", scene), ("pretension", pretension), ("amplitude", amplitude)):
+            if value is None:
+                raise ValueError(f"TendonArm {name} is missing; a scene comes with pretension and amplitude in m")
+            object.__setattr__(self, name, value)
+        self.__post_init__()
 
     def __post_init__(self) -> None:
         if isinstance(self.scene, rod.Scene) and self.n_sections > 1:

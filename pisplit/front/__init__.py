@@ -1,0 +1,10 @@
+"""The front door: from recordings to a model, its report and a controller in one call each.
+
+It stands above all rooms and is the only place in ``pisplit/`` that names models and controllers.
+"""
+
+from pisplit.front.control import Control
+from pisplit.front.identification import Identified, identify
+from pisplit.front.report import Report
+
+__all__ = ["Control", "Identified", "Report", "identify"]

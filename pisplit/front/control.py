@@ -1,0 +1,173 @@
+"""A controller for an identified model whose weight is chosen by closed loops on the models themselves."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pisplit.checks import Array, finite_array
+from pisplit.controllers import MPC, ClosedLoop, LoopLog, references
+from pisplit.controllers.plants import ModelPlant
+from pisplit.models.arm import Arm
+
+if TYPE_CHECKING:
+    from pisplit.front.identification import Identified
+
+#: Weights of the input rate, the cautious one first: one that is worse already is not tried any further.
+RATE_WEIGHTS = (0.1, 0.02, 1.0, 0.004)
+#: Steps of a trial that follow the reference, and those at its end in which it has to come to rest.
+MOVING, RESTING = 70, 30
+HORIZON = 20
+#: Error of the trials, in parts of the range of the outputs, from which on the controller says that it is poor.
+POOR = 0.2
+#: Times by which recorded motion is slowed down to make a reference that can be followed.
+SLOWER = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """A model predictive controller and where it starts from.
+
+    Attributes:
+        controller: the controller; use it with any :class:`pisplit.controllers.ClosedLoop`.
+        rest: inputs (m,) at rest, where runs start.
+        stations: number of stations of the model's rod fields, for the simulator of an arm.
+        trials: (rate weight, error) of the loops on the models by which the weight was chosen; empty where it was
+            given. The error is in parts of the range of the tracked outputs; infinite where a loop was lost.
+        notes: what was chosen, in words.
+    """
+
+    controller: MPC
+    rest: Array
+    stations: int
+    trials: tuple[tuple[float, float], ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        found: Identified,
+        u_max: ArrayLike,
+        du_max: ArrayLike,
+        u_min: ArrayLike | None,
+        settings: Mapping[str, Any],
+    ) -> Control:
+        """The controller of an identification ``found``; what ``settings`` of :class:`MPC` leave open is chosen.
+
+        The rate weight is the one whose loops go best when the plant is another model: each of the two best candidates,
+        fitted without the held-out recordings. Their reference is a held-out recording at half its speed that ends at
+        rest. Limits ``u_max``, ``u_min`` and ``du_max`` as in :class:`MPC`.
+
+        Raises ValueError where limits or settings do not fit, and where the model cannot hold any of those loops.
+        """
+        model, rest = found.lifted, found.case.rest
+        high = np.broadcast_to(np.asarray(u_max, dtype=np.float64), rest.shape)
+        low = 2.0 * rest - high if u_min is None else np.broadcast_to(np.asarray(u_min, dtype=np.float64), rest.shape)
+        given = {"horizon": HORIZON, "u_min": low.copy(), "u_max": high.copy(), "du_max": du_max, **settings}
+        if "track" not in given:
+            given["track"] = "tip" if "tip" in model.outputs else [model.state_names[0]]
+        notes = [
+            f"limits {_text(low)} .. {_text(high)}, {_text(np.asarray(du_max))} a step",
+            f"horizon {given['horizon']}",
+        ]
+        trials: list[tuple[float, float]] = []
+        if "rate_weight" in given:
+            controller = MPC(model, **given)
+        else:
+            controller, trials = _chosen(found, given)
+            notes.append(f"rate weight {trials[0][0]:g}, chosen by loops on {min(2, len(found.rivals))} models")
+            if trials[0][1] > POOR:
+                told = (
+                    f"the best loop on the identified models misses its reference by {trials[0][1]:.2g} of the "
+                    "range of the data: expect no better of the system; see model.report() for what would help"
+                )
+                notes.append(told)
+                warnings.warn(told, stacklevel=3)
+        return cls(controller, rest, found.case.stations, tuple(trials), tuple(notes))
+
+    def run(
+        self,
+        plant: Any,
+        reference: references.Reference,
+        steps: int,
+        u0: ArrayLike | None = None,
+        progress: bool = True,
+    ) -> LoopLog:
+        """Close the loop on a ``plant`` for so many ``steps`` along the ``reference``; the log of the run.
+
+        ``plant``: an arm, which is simulated, or any :class:`pisplit.controllers.Plant`. ``u0``: inputs (m,) at the
+        start; those at rest if not given. ``progress``: whether to show a bar.
+        """
+        if isinstance(plant, Arm):
+            plant = plant.scene.fast_stepper(dt=self.controller.model.dt, stations=self.stations)
+        start = np.clip(self.rest, self.controller.u_min, self.controller.u_max) if u0 is None else u0
+        loop = ClosedLoop(plant=plant, controller=self.controller)
+        return loop.run(_named(reference, self.controller), steps, u0=start, progress=progress)
+
+    def __str__(self) -> str:
+        lines = [*self.notes, *(f"  rate weight {w:g}: error {e:.3g} of the range" for w, e in self.trials)]
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+def _named(reference: references.Reference, controller: MPC) -> references.Reference:
+    """The reference under the controller's name of its outputs where it says "tip" by default and there is none."""
+    from dataclasses import replace
+
+    if not controller.track and reference.track == "tip":
+        return replace(reference, track="")
+    return reference
+
+
+def _chosen(found: Identified, given: dict[str, Any]) -> tuple[MPC, list[tuple[float, float]]]:
+    """The controller with the rate weight whose worst loop is best, and all trials, best first."""
+    plants = [estimator.lifted for _, estimator in found.rivals[:2]]
+    trials: list[tuple[float, float]] = []
+    best, least = None, np.inf
+    for weight in RATE_WEIGHTS:
+        controller = MPC(found.lifted, rate_weight=weight, **given)
+        worst = 0.0
+        for plant in plants:
+            worst = max(worst, _trial(controller, plant, found))
+            if worst > least:
+                break
+        trials.append((weight, worst))
+        if worst < least:
+            best, least = controller, worst
+    if best is None:
+        raise ValueError(
+            "no rate weight holds a loop on the identified models themselves: widen u_max or du_max, track other "
+            "outputs, or give more recordings"
+        )
+    return best, sorted(trials, key=lambda t: t[1])
+
+
+def _trial(controller: MPC, plant: Any, found: Identified) -> float:
+    """Error of a loop on a model, in parts of the range of the outputs: while it moves, and where it should rest."""
+    x, u = found.held.xs[0], found.held.us[0]
+    tracked = list(controller.tracked)
+    recorded = x[: MOVING // SLOWER + 1, tracked]
+    fine = np.arange(0.0, len(recorded) - 1 + 1e-9, 1.0 / SLOWER)
+    y = np.stack([np.interp(fine, np.arange(len(recorded)), c) for c in recorded.T], axis=1)
+    reference = references.from_array(y, plant.dt, track=controller.track)
+    start = np.clip(u[0], controller.u_min, controller.u_max)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        log = ClosedLoop(ModelPlant(plant, x[0]), controller).run(reference, len(y) + RESTING, u0=start, progress=False)
+    if log.stopped:
+        return float("inf")
+    scale = found.lifted.state_range[tracked]
+    missed = np.linalg.norm((log.y - log.reference) / scale, axis=1)
+    restless = np.linalg.norm(np.diff(log.y[-RESTING // 2 :], axis=0) / scale, axis=1)
+    return float(np.sqrt(np.mean(missed[5:] ** 2)) + restless.mean())
+
+
+def _text(values: Array) -> str:
+    numbers = finite_array(np.atleast_1d(values), "limits", (None,))
+    return f"{numbers[0]:.3g}" if np.ptp(numbers) < 1e-12 else "(" + ", ".join(f"{v:.3g}" for v in numbers) + ")"

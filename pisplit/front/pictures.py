@@ -1,0 +1,46 @@
+"""The picture of an identification."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pisplit.controllers.loop.pictures import keep, new_figure
+from pisplit.front.identification import Identified
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def plot_identified(found: Identified, path: str | os.PathLike[str] | None) -> Figure:
+    """Errors by horizon of the candidates of ``found`` and one held-out recording; written to ``path`` if not None."""
+    figure = new_figure(12.0, 4.6)
+    ahead, one = figure.subplots(1, 2)
+    best = found.report().chosen
+    for name, errors in found.errors.items():
+        good = np.isfinite(errors.normalised)
+        style = {"lw": 2.2, "zorder": 3} if name == best else {"lw": 1.0, "alpha": 0.8}
+        ahead.loglog(found.held.dt * errors.horizons[good], errors.normalised[good], "o-", ms=3, label=name, **style)
+    ahead.axhline(1.0, color="k", lw=0.8, ls=":")
+    ahead.set(xlabel="time ahead (s)", ylabel="error (1 = predicting the mean)", title="held-out roll-outs")
+    ahead.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, frameon=False)
+    model = dict(found.rivals)[best].lifted
+    start = found.held.start(0, model.n_delays)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        x = model.predict(start.x_history, start.u_history, start.inputs).x
+    group = model.outputs.get("tip") or range(min(3, model.n_states))
+    t = model.dt * np.arange(len(x))
+    for i in group:
+        (line,) = one.plot(t, start.states[:, i], lw=1.0, label=model.state_names[i])
+        one.plot(t, x[:, i], "--", color=line.get_color(), lw=1.4)
+    unit = model.units[next(iter(group))]
+    one.set(
+        xlabel="time (s)", ylabel=f"state ({unit})" if unit else "state", title="a held-out recording, predicted dashed"
+    )
+    one.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, frameon=False)
+    keep(figure, path)
+    return figure
