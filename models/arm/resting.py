@@ -6,7 +6,7 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -134,7 +134,7 @@ def plot_at_rest(arm: Arm, u: ArrayLike | None, title: str) -> Figure:
     down = np.sum([np.asarray(g, dtype=float) for g in pull], axis=0) if pull else np.zeros(3)
     if np.abs(down).max() > 0.0:
         axis = int(np.abs(down).argmax())
-        drawn = figure.axes[0]
+        drawn: Any = figure.axes[0]
         drawn.view_init(elev=18, azim=-60, vertical_axis="xyz"[axis])
         if down[axis] > 0.0:
             getattr(drawn, f"invert_{'xyz'[axis]}axis")()

@@ -171,7 +171,8 @@ class Case:
 
     def _windows(self) -> tuple[Array, Array]:
         """Fields (N, T+1, n) and displacements (N, T+1, m) of short windows, spread over the recordings."""
-        fields, moves = [], []
+        fields: list[Array] = []
+        moves: list[Array] = []
         for x, u in zip(self.d1.xs, self.d1.us, strict=True):
             room = len(u) - WINDOW_STEPS
             each = max(1, WINDOWS // len(self.d1))
