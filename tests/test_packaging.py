@@ -124,7 +124,7 @@ def test_an_editable_install_works(place: Path) -> None:
 @pytest.mark.parametrize(
     ("package", "others"),
     [
-        ("pisplit", ("pisplit.models", "pisplit.controllers")),
+        ("pisplit", ("pisplit.models", "pisplit.controllers", "pisplit.front")),
         ("pisplit.models", ("pisplit.controllers",)),
         ("pisplit.controllers", ("pisplit.models",)),
     ],

@@ -166,13 +166,16 @@ class Arm:
 
     @cached_property
     def time_step(self) -> float:
-        """Time step in s for recordings and control: 1/21.5 of the slowest period at rest, to one digit.
+        """Time step in s for recordings and control, to one digit, between 1 ms and 0.1 s.
 
-        That of the paper's arm is 0.03 s. It is between 1 ms and 0.1 s.
+        It is 1/21.5 of the slowest period at rest, or longer where the usual moves of recordings, of 16 steps, would
+        accelerate the tip by more than half of gravity: tendons of a faster arm hang loose, and nothing is learned of
+        it. That of the paper's arm is 0.03 s by either rule.
         """
-        from pisplit.models.arm.drawing import slowest
+        from pisplit.models.arm.drawing import slowest, usual_move
 
-        step = float(np.clip(2.0 * np.pi / slowest(self.scene, self.rest_inputs)[0] / 21.5, 1e-3, 0.1))
+        period = 2.0 * np.pi / slowest(self.scene, self.rest_inputs)[0]
+        step = float(np.clip(max(period / 21.5, usual_move(self) / 16.0), 1e-3, 0.1))
         digit = 10.0 ** np.floor(np.log10(step))
         return round(round(step / digit) * digit, 6)
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pisplit.checks import Array, finite_array, non_negative, one_of, positive
 from pisplit.models import rod
+
+if TYPE_CHECKING:
+    from pisplit.models.arm.base import Arm
 
 #: Young's modulus in Pa, Poisson's ratio, density in kg/m^3: usual values of handbooks, nitinol below its plateau. What
 #: is on the desk may differ by a tenth, and fibres by more.
@@ -101,6 +104,13 @@ def _factor(scene: rod.Scene, rest: Array, ratio: float) -> float:
         mode = values[np.argmin(np.abs(values))]
         factor *= ratio / float(-mode.real / np.abs(mode))
     return factor
+
+
+def usual_move(arm: Arm) -> float:
+    """Time in s of a raised-cosine move by the usual displacement of ``arm`` that accelerates its tip by g/2."""
+    radius = np.hypot(*np.concatenate([g.points(0.0, arm.scene.rod.length) for g in arm.groups]).T).mean()
+    travel = 0.5 * arm.scene.rod.length * arm.amplitude / float(radius)
+    return float(np.pi * np.sqrt(travel / GRAVITY))
 
 
 def slowest(scene: rod.Scene, inputs: Array) -> tuple[float, float]:

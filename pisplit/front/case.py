@@ -108,7 +108,7 @@ class Case:
 
     def phase_samples(self) -> PhaseSamples:
         """Phase-space samples of the backbone about the recorded shapes and rates."""
-        return self._once("phase samples", self._phase_samples)
+        return self._once(f"phase samples about {len(self.d1)} recordings", self._phase_samples)
 
     def _phase_samples(self) -> PhaseSamples:
         physics = self.physics()
