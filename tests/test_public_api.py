@@ -196,3 +196,11 @@ def test_the_version_stands_in_one_place() -> None:
     assert project["project"]["dynamic"] == ["version"] and "version" not in project["project"]
     assert project["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "pisplit.__version__"}
     assert re.fullmatch(r"0\.2\.0", pisplit.__version__)
+
+
+def test_changelog_and_citation_know_the_version() -> None:
+    import pisplit
+
+    root = Path(__file__).resolve().parent.parent
+    assert f"\n## {pisplit.__version__}\n" in (root / "CHANGELOG.md").read_text()
+    assert f"\nversion: {pisplit.__version__}\n" in (root / "CITATION.cff").read_text()

@@ -160,8 +160,24 @@ class LoopLog:
 
         return plot_log(self, path)
 
+    def show(self) -> str:
+        """Open the page of the run (``save("run.html")``) in the web browser; its path."""
+        import tempfile
+        import webbrowser
+        from pathlib import Path
+
+        path = Path(tempfile.mkdtemp(prefix="pisplit-")) / "run.html"
+        self.save(path)
+        webbrowser.open(path.as_uri())
+        return str(path)
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the log to the HDF5 file ``path``, whole or not at all."""
+        """Write the log to the HDF5 file ``path``, whole or not at all; as a page to look at where it ends in .html."""
+        if os.fspath(path).lower().endswith((".html", ".htm")):
+            from pisplit.controllers.loop.page import write_page
+
+            write_page(self, path)
+            return
         with store.writing(path, KIND) as file:
             for item in fields(LoopLog):
                 value = getattr(self, item.name)

@@ -1,0 +1,181 @@
+"""The command line: ``pisplit record``, ``identify``, ``report``, ``track``, ``export``, ``demo``; words as in Python.
+
+Exit codes: 0 done, 1 the data or files do not allow it (said in one line), 2 wrong arguments, 3 a loop that stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pisplit import Episodes, LiftedModel, TendonArm, __version__, identify, references, to_c_header
+from pisplit.front.report import Report
+
+ARMS = {"paper": TendonArm.paper, "prototype": TendonArm.prototype}
+FAILED, STOPPED = 1, 3
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command of ``argv`` (the process's own arguments if not given); its exit code."""
+    given = parser().parse_args(argv)
+    try:
+        facts, code = given.run(given)
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return FAILED
+    if given.json:
+        print(json.dumps(facts, indent=1, allow_nan=False))
+    return int(code)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The commands and their arguments."""
+    made = argparse.ArgumentParser(prog="pisplit", description="models of soft arms from little data, and MPC on them")
+    made.add_argument("--version", action="version", version=f"pisplit {__version__}")
+    commands = made.add_subparsers(required=True, metavar="command")
+
+    def command(name: str, run: Any, text: str) -> argparse.ArgumentParser:
+        one = commands.add_parser(name, help=text, description=text)
+        one.add_argument("--json", action="store_true", help="print facts as JSON on standard output, and nothing else")
+        one.set_defaults(run=run)
+        return one
+
+    record = command("record", _record, "recordings of a simulated arm")
+    record.add_argument("--episodes", type=int, default=10)
+    record.add_argument("--steps", type=int, default=200)
+    record.add_argument("--seed", type=int, default=0)
+    record.add_argument("--out", type=Path, required=True, help="HDF5 file")
+    fit = command("identify", _identify, "the best model that recordings allow, with a report")
+    fit.add_argument("files", nargs="+", type=Path, help="recordings: one HDF5 file, or CSV files")
+    fit.add_argument("--time", default="t", help="column of the time in s (CSV)")
+    fit.add_argument("--states", nargs="+", help="columns of the states (CSV)")
+    fit.add_argument("--inputs", nargs="+", help="columns of the inputs (CSV)")
+    fit.add_argument("--dt", type=float, help="time step in s that CSV files are resampled to")
+    fit.add_argument("--candidates", nargs="+", help="models to try; all that the data allow if not given")
+    fit.add_argument("--out", type=Path, required=True, help="file of the model")
+    report = command("report", _report, "the report that a model was saved with")
+    report.add_argument("model", type=Path)
+    track = command("track", _track, "model predictive control of a simulated arm along a circle")
+    track.add_argument("model", type=Path)
+    track.add_argument("--reference", choices=["circle"], default="circle")
+    track.add_argument("--radius", type=float, default=0.1, help="in m")
+    track.add_argument("--period", type=float, default=4.0, help="in s")
+    track.add_argument("--steps", type=int, default=400)
+    track.add_argument("--u-max", type=float, default=0.016)
+    track.add_argument("--du-max", type=float, default=0.002)
+    track.add_argument("--rate-weight", type=float, default=0.1)
+    track.add_argument("--out", type=Path, nargs="+", default=[], help=".png, .html or .h5 files of the run")
+    export = command("export", _export, "a model as a C header")
+    export.add_argument("model", type=Path)
+    export.add_argument("--c", type=Path, required=True, metavar="PATH", help="header to write")
+    demo = command("demo", _demo, "the five lines of the README: record, identify, track; pictures and a page")
+    demo.add_argument("--quick", action="store_true", help="fewer recordings and models")
+    demo.add_argument("--out", type=Path, default=Path("out/five-lines"), help="folder of the pictures")
+    for one in (record, fit, track, demo):
+        one.add_argument("--arm", choices=ARMS, default=None if one is fit else "paper", help="a simulated arm")
+    return made
+
+
+def _say(given: argparse.Namespace, text: object) -> None:
+    if not given.json:
+        print(text)
+
+
+def _record(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    arm = ARMS[given.arm]()
+    d1 = arm.record(given.episodes, given.seed, given.steps, path=given.out, progress=not given.json)
+    _say(given, f"{len(d1)} recordings of {given.steps} steps of {d1.dt:g} s in {given.out}")
+    return {"out": str(given.out), "episodes": len(d1), "steps": given.steps, "dt": d1.dt}, 0
+
+
+def _identify(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    arm = None if given.arm is None else ARMS[given.arm]()
+    found = identify(_recordings(given), arm=arm, candidates=given.candidates, progress=not given.json)
+    found.save(given.out)
+    _say(given, f"{found.report()}\n\nmodel in {given.out}")
+    return {"out": str(given.out), **found.report().as_dict()}, 0
+
+
+def _recordings(given: argparse.Namespace) -> Episodes:
+    if len(given.files) == 1 and given.files[0].suffix in (".h5", ".hdf5"):
+        return Episodes.load(given.files[0])
+    if not given.states or not given.inputs:
+        raise ValueError("CSV files need --states and --inputs: names of their columns")
+    more = {} if given.dt is None else {"dt": given.dt}
+    parts = [Episodes.from_csv(f, given.time, given.states, given.inputs, **more) for f in given.files]
+    for path, part in zip(given.files, parts, strict=True):
+        if abs(part.dt - parts[0].dt) > 1e-9 * parts[0].dt:
+            raise ValueError(f"{path} has steps of {part.dt:g} s, {given.files[0]} of {parts[0].dt:g} s; give --dt")
+    return Episodes(
+        [x for p in parts for x in p.xs],
+        [u for p in parts for u in p.us],
+        parts[0].dt,
+        state_names=parts[0].state_names,
+        input_names=parts[0].input_names,
+    )
+
+
+def _report(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    facts = LiftedModel.load(given.model).provenance.get("report")
+    if facts is None:
+        raise ValueError(f"{given.model} was saved without a report; pisplit identify makes one")
+    _say(given, Report.of_dict(facts))
+    return dict(facts), 0
+
+
+def _track(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    from pisplit.controllers import MPC, ClosedLoop
+
+    arm, model = ARMS[given.arm](), LiftedModel.load(given.model)
+    low = 2.0 * arm.pretension - given.u_max
+    mpc = MPC(model, 20, low, given.u_max, given.du_max, rate_weight=given.rate_weight)
+    plant = arm.scene.fast_stepper(dt=model.dt, stations=max(1, model.n_states // 24))
+    reference = references.circle(given.radius, given.period)
+    log = ClosedLoop(plant, mpc).run(reference, given.steps, u0=arm.rest_inputs, progress=not given.json)
+    return _told(given, log, given.period / 2, given.out)
+
+
+def _told(given: argparse.Namespace, log: Any, after: float, places: Sequence[Path]) -> tuple[dict[str, Any], int]:
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        (log.plot if place.suffix == ".png" else log.save)(place)
+    error = log.rms_error(after=after)
+    _say(given, log.summary())
+    _say(given, f"RMS error from {after:g} s on: {1e3 * error:.3g} mm")
+    facts = {
+        "rms_error": error if error == error else None,
+        "after": after,
+        "steps": len(log.u),
+        "stopped": log.message,
+        "out": [str(p) for p in places],
+    }
+    return facts, STOPPED if log.stopped else 0
+
+
+def _export(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    model = LiftedModel.load(given.model)
+    to_c_header(model, given.c)
+    _say(given, f"{model.n_lifted} lifted states, {model.n_inputs} inputs in {given.c}")
+    return {"out": str(given.c), "n_lifted": model.n_lifted, "n_inputs": model.n_inputs}, 0
+
+
+def _demo(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    arm, show = ARMS[given.arm](), not given.json
+    few = ["L-EDMDc", "B-EDMDc", "PI-EDMDc, hold"] if given.quick else None
+    d1 = arm.record(4 if given.quick else 10, progress=show)
+    model = identify(d1, arm=arm, candidates=few, progress=show)
+    _say(given, model.report())
+    mpc = model.mpc(u_max=0.016, du_max=0.002)
+    log = mpc.run(arm, references.circle(radius=0.1, period=4.0), 200 if given.quick else 400, progress=show)
+    given.out.mkdir(parents=True, exist_ok=True)
+    model.plot(given.out / "model.png")
+    _say(given, f"pictures and page in {given.out}: model.png, run.png, run.html, run.h5")
+    return _told(given, log, 2.0, [given.out / name for name in ("run.png", "run.html", "run.h5")])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

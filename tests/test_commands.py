@@ -1,0 +1,85 @@
+"""The command line does what the Python API does, in its words, with exit codes and JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pisplit as ps
+from pisplit.front.commands import main
+from pisplit.models import systems
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def table(path: Path, seed: int) -> None:
+    """A recording of a hard spring as a table."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1, 1, (20, 1)), 6, axis=0)
+    x = systems.duffing(stiffness=1.0).simulate(rng.uniform(-1, 1, 2), u, 0.05)
+    rows = np.column_stack([0.05 * np.arange(len(x)), x, np.vstack([u, u[-1:]])])
+    np.savetxt(path, rows, delimiter=",", header="t,x,v,u", comments="")
+
+
+def test_tables_to_a_model_to_a_report_to_a_header(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [tmp_path / f"run{k}.csv" for k in range(4)]
+    for k, path in enumerate(runs):
+        table(path, k)
+    model = tmp_path / "model.h5"
+    columns = ["--states", "x", "v", "--inputs", "u", "--dt", "0.05"]
+    assert main(["identify", *map(str, runs), *columns, "--out", str(model), "--json"]) == 0
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert main(["report", str(model), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["chosen"] == told["chosen"] and again["tried"] == told["tried"]
+    assert main(["report", str(model)]) == 0
+    assert capsys.readouterr().out.startswith(f"model    {told['chosen']}")
+    lean = ["--candidates", "L-EDMDc", "--out", str(model), "--json"]
+    assert main(["identify", *map(str, runs), *columns, *lean]) == 0
+    assert main(["export", str(model), "--c", str(tmp_path / "model.h")]) == 0
+    assert "static const" in (tmp_path / "model.h").read_text()
+
+
+def test_what_does_not_work_is_one_line_and_a_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table(tmp_path / "run.csv", 0)
+    for argv, said in (
+        (["report", str(tmp_path / "none.h5")], "none.h5"),
+        (["identify", str(tmp_path / "run.csv"), "--out", "m.h5"], "need --states and --inputs"),
+        (["record", "--episodes", "0", "--out", str(tmp_path / "d.h5")], "episodes"),
+    ):
+        assert main(argv) == 1
+        error = capsys.readouterr().err.strip()
+        assert error.startswith("error: ") and said in error and "\n" not in error
+    with pytest.raises(SystemExit, match="2"):
+        main(["identify"])
+
+
+def test_a_saved_model_tracks_an_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["record", "--episodes", "4", "--steps", "60", "--out", str(tmp_path / "d1.h5"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["dt"] == 0.03
+    model, page = tmp_path / "model.h5", tmp_path / "run.html"
+    hold = ["--arm", "paper", "--candidates", "PI-EDMDc, hold", "--out", str(model), "--json"]
+    assert main(["identify", str(tmp_path / "d1.h5"), *hold]) == 0
+    capsys.readouterr()
+    assert main(["track", str(model), "--radius", "0.03", "--steps", "80", "--out", str(page), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rms_error"] < 0.1 * 0.03 and found["steps"] == 80
+    text = page.read_text()
+    assert page.stat().st_size < 5e6 and "http" not in text and "<link" not in text and "src=" not in text
+    data = json.loads(text.split("const D = ")[1].split(";\n")[0])
+    assert len(data["arm"]) == len(data["t"]) == 81 and data["arm"][0][0] == [0.0, 0.0, 0.0]
+    length = np.linalg.norm(np.diff(np.array(data["arm"]), axis=1), axis=2).sum(axis=1)
+    np.testing.assert_allclose(length, ps.TendonArm.paper().scene.rod.length, rtol=2e-3)
+
+
+def test_the_program_is_there() -> None:
+    run = [sys.executable, "-m", "pisplit.front.commands", "--version"]
+    done = subprocess.run(run, capture_output=True, text=True, env=dict(os.environ))
+    assert done.returncode == 0 and done.stdout.strip() == f"pisplit {ps.__version__}"
