@@ -7,6 +7,7 @@ import json
 import os
 import re
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -73,9 +74,9 @@ def _reference(log: LoopLog) -> list[list[float] | None]:
     if log.reference.shape[1] != 3:
         return []
     whole = np.where(np.isfinite(log.reference), log.reference, log.y)
-    asked = np.isfinite(log.reference).any(axis=1)
+    asked = np.isfinite(log.reference).any(axis=1).tolist()
     return [_rounded(p) if ok else None for p, ok in zip(whole, asked, strict=True)]
 
 
-def _rounded(values: Array) -> list:  # type: ignore[type-arg]
+def _rounded(values: Array) -> Any:
     return np.round(values, DIGITS).tolist()
