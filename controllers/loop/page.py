@@ -74,8 +74,8 @@ def _reference(log: LoopLog) -> list[list[float] | None]:
     if log.reference.shape[1] != 3:
         return []
     whole = np.where(np.isfinite(log.reference), log.reference, log.y)
-    asked = np.isfinite(log.reference).any(axis=1).tolist()
-    return [_rounded(p) if ok else None for p, ok in zip(whole, asked, strict=True)]
+    free = np.isnan(log.reference).all(axis=1)
+    return [None if free[k] else _rounded(p) for k, p in enumerate(whole)]
 
 
 def _rounded(values: Array) -> Any:
