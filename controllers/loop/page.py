@@ -74,7 +74,7 @@ def _reference(log: LoopLog) -> list[list[float] | None]:
     if log.reference.shape[1] != 3:
         return []
     whole = np.where(np.isfinite(log.reference), log.reference, log.y)
-    free = np.isnan(log.reference).all(axis=1)
+    free: Array = np.asarray(np.isnan(log.reference).all(axis=1))
     return [None if free[k] else _rounded(p) for k, p in enumerate(whole)]
 
 
