@@ -15,6 +15,7 @@ __version__ = "0.2.0"
 if _TYPE_CHECKING:
     from pisplit import observables as observables
     from pisplit.controllers import references as references
+    from pisplit.controllers.plants import Markers as Markers
     from pisplit.data.actuator import Actuator as Actuator
     from pisplit.data.episodes import Episodes as Episodes
     from pisplit.data.episodes import Pairs as Pairs
@@ -59,6 +60,7 @@ if _TYPE_CHECKING:
 
 #: Public names by the module that has them.
 _PLACES = {
+    "pisplit.controllers.plants": "Markers",
     "pisplit.data.actuator": "Actuator",
     "pisplit.data.episodes": "Episodes Pairs",
     "pisplit.data.phase": "PhaseSamples",
@@ -98,6 +100,7 @@ __all__ = [
     "LearningCurve",
     "LiftedModel",
     "LinearEDMDc",
+    "Markers",
     "Modes",
     "PIEDMDc",
     "Pairs",

@@ -159,9 +159,10 @@ def main() -> None:
     best = runs["circle"]["PI-EDMDc"]
     draw_shapes(best, STATIONS, given.out / "shapes.png", "PI-EDMDc on the circle")
     animate(best, STATIONS, given.out / "arm.gif", "PI-EDMDc", frames=40 if given.quick else 80)
+    best.save(given.out / "run.html")
     report.figure("run time", time.perf_counter() - begin, "s")
     report.write(given.json)
-    print(f"\n{report}\n\npictures in {given.out}: tracking.png, shapes.png, arm.gif")
+    print(f"\n{report}\n\npictures in {given.out}: tracking.png, shapes.png, arm.gif, run.html")
 
 
 def print_table(report: Report, runs: dict[str, dict[str, LoopLog]], approach: float, length: float) -> None:

@@ -81,12 +81,12 @@ def test_shapes_at_rest_calibrate_a_wrong_drawing(
         damping_ratio=0.08,
         nodes=4,
     )
-    blind = ps.identify(d1, arm=wrong, candidates=["B-EDMDc", "PI-EDMDc, twin"], progress=False)
+    blind = ps.identify(d1, arm=wrong, candidates=["L-EDMDc", "PI-EDMDc, twin"], progress=False)
     (twin,) = [t for t in blind.report().tried if t.name == "PI-EDMDc, twin"]
     assert "no shapes at rest" in twin.note and any("shapes at rest" in h for h in blind.report().helps)
-    seen = ps.identify(d1, wrong, arm.rest_shapes(6), candidates=["B-EDMDc", "PI-EDMDc, twin"], progress=False)
+    seen = ps.identify(d1, wrong, arm.rest_shapes(6), candidates=["L-EDMDc", "PI-EDMDc, twin"], progress=False)
     errors = {t.name: t.error for t in seen.report().tried}
-    assert errors["PI-EDMDc, twin"] < errors["B-EDMDc"] and seen.report().chosen == "PI-EDMDc, twin"
+    assert errors["PI-EDMDc, twin"] < errors["L-EDMDc"] and seen.report().chosen == "PI-EDMDc, twin"
     found = seen.case.calibration()
     assert np.hypot(*found.parameters.offset.T).mean() == pytest.approx(0.01, rel=0.02)
 
