@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -16,9 +17,18 @@ if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
 
+#: Error of an eigenvalue up to which a mode counts as resolved, likeness of shapes (cosine) from which modes are one,
+#: and difference of eigenvalues up to which they are the same.
+RESOLVED, ALIKE, SAME = 1e-2, 0.8, 1e-3
+#: Stations at which shapes are compared.
+POINTS = 21
+
+
 @dataclass(frozen=True)
 class NaturalModes:
     """Natural modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.
+
+    The fastest modes of a grid are no modes of the rod: ``resolved`` says which are.
 
     Attributes:
         frequency: (M,) |lambda| / 2 pi in Hz.
@@ -34,6 +44,32 @@ class NaturalModes:
     strains: NDArray[np.complex128]
     state: Array = field(repr=False)
     scene: Scene = field(repr=False, compare=False)
+
+    @cached_property
+    def error(self) -> Array:
+        """Estimated error (M,) of the eigenvalues in parts of their size, infinite where a finer grid has no such mode.
+
+        Beside the modes whose displacements are most alike on two more nodes an element; those of one frequency count
+        together, for any mixture of them is a mode.
+        """
+        resolution = self.scene.statics().resolution
+        finer = natural_modes(resolution.finer, resolution.on_finer(self.state))
+        here, there = (m.displacements(POINTS).reshape(len(m.strains), -1) for m in (self, finer))
+        size, length = np.abs(finer.eigenvalues), np.linalg.norm(here, axis=1)
+        alike = np.zeros((len(here), len(there)))
+        for k, value in enumerate(finer.eigenvalues):
+            same = np.abs(finer.eigenvalues - value) <= SAME * size[k]
+            basis = np.linalg.qr(there[same].T)[0]
+            alike[:, k] = np.linalg.norm(here @ basis.conj(), axis=1) / np.where(length > 0.0, length, np.inf)
+        nearest = alike.argmax(axis=1)
+        off = np.abs(self.eigenvalues - finer.eigenvalues[nearest])
+        found = np.divide(off, size[nearest], out=np.full(len(off), np.inf), where=size[nearest] > 0.0)
+        return np.where(alike.max(axis=1) > ALIKE, found, np.inf)
+
+    @property
+    def resolved(self) -> NDArray[np.bool_]:
+        """Which modes (M,) the nodes resolve: those whose ``error`` is at most 1e-2."""
+        return np.asarray(self.error <= RESOLVED)
 
     def displacements(self, stations: int | ArrayLike = 6) -> NDArray[np.complex128]:
         """Displacement shapes (M, S, 3) in m at stations, in world axes."""
