@@ -1,6 +1,7 @@
 """Linear MPC on a lifted model and closed loops on a plant."""
 
 from pisplit.controllers import plants, references
+from pisplit.controllers.estimation.kalman import KalmanFilter
 from pisplit.controllers.feedforward import FeedForward
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.loop import ClosedLoop
@@ -17,6 +18,7 @@ __all__ = [
     "Condensed",
     "Controller",
     "FeedForward",
+    "KalmanFilter",
     "LoopLog",
     "Move",
     "Plant",

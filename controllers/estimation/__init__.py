@@ -1,1 +1,1 @@
-"""What is not measured: disturbances that make a model of the plant offset-free."""
+"""What is not measured: disturbances that make a model of the plant offset-free, and states among noise."""

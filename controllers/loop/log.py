@@ -37,7 +37,8 @@ class LoopLog:
     ``tracked`` (p,): indices of the tracked states. ``state_names``, ``state_units`` (n,) and ``input_names``,
     ``input_units`` (m,) in the order of the model; a unit is "" where nobody told it.
     Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
-    ``plant_time`` [s]; ``missing``: how many entries of the measurement that the move answers to were not there.
+    ``plant_time`` [s]; ``missing`` and ``rejected``: how many entries of the measurement that the move answers to were
+    not there, and how many the observer did not believe.
     ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
     ``message``: why the run ended early, empty otherwise; the arrays hold what was run. ``notes``: what else is to be
     known, e.g. a reference far outside the training data.
@@ -61,6 +62,7 @@ class LoopLog:
     cpu_time: Array
     plant_time: Array
     missing: Array
+    rejected: Array
     limit_violations: int
     message: str = ""
     notes: tuple[str, ...] = ()
@@ -149,6 +151,8 @@ class LoopLog:
         gaps = np.count_nonzero(self.missing)
         if gaps:
             lines.append(f"{gaps} steps with missing measurements, {int(self.missing.sum())} entries in all, bridged")
+        if self.rejected.any():
+            lines.append(f"{np.count_nonzero(self.rejected)} steps with rejected measurements")
         lines += self.notes
         if self.stopped:
             lines.append(f"stopped: {self.message}")
@@ -198,7 +202,9 @@ class LoopLog:
                     parts[item.name] = store.read_strings(file, item.name)
                 elif item.name == "message":
                     parts[item.name] = store.read_text(file, item.name)
-                elif item.name == "missing" and item.name not in file:  # of a version that stopped at the first gap
+                elif (
+                    item.name in ("missing", "rejected") and item.name not in file
+                ):  # of a version that stopped at the first gap
                     parts[item.name] = np.zeros(len(file["u"]), dtype=int)
                 else:
                     parts[item.name] = np.asarray(file[item.name][()])

@@ -66,6 +66,7 @@ class Recorder:
             cpu_time=np.array([move.cpu_time for move in moves]),
             plant_time=np.array(self.plant_time[:N]),
             missing=np.array([move.missing for move in moves], dtype=int),
+            rejected=np.array([move.rejected for move in moves], dtype=int),
             limit_violations=_count_violations(u, self.u0, controller),
             message=self.message,
             notes=tuple(self.notes),

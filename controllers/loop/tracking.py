@@ -22,7 +22,7 @@ class Move:
     solve, after so many ``iterations``. ``fallback``: True if u comes from the last good plan instead. ``solve_time``:
     wall time of the whole step [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs
     expected under the plan. ``missing``: entries of the measurement that were not there (NaN), for which the model's
-    prediction stood.
+    prediction stood; ``rejected``: those that an observer did not believe.
     """
 
     u: Array
@@ -33,6 +33,7 @@ class Move:
     cpu_time: float
     predicted: Array
     missing: int = 0
+    rejected: int = 0
 
 
 class Controller(Protocol):

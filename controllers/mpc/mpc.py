@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.linalg import ArpackError, eigs
 
 from pisplit.checks import Array, count, non_negative, positive, real_array
 from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
+from pisplit.controllers.estimation.kalman import KalmanFilter
 from pisplit.controllers.loop.history import History
 from pisplit.controllers.loop.tracking import (
     Move,
@@ -34,13 +35,18 @@ from pisplit.evaluation.matching import Fitted, model_of
 from pisplit.lifted.model import LiftedModel
 
 GROWTH_LIMIT = 100.0
+#: Steps in a row in which an entry of the measurement may be rejected; then the model is wrong, and not the sensor.
+PATIENCE = 12
 
 
 @dataclass(frozen=True, eq=False)
 class MPCState:
-    """An MPC between two steps: ``history`` of delays, last ``plan`` (None before the first), states of the disturbance
-    ``estimator`` and of the ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None
-    before it; steps ``blind`` since anything was measured."""
+    """An MPC between two steps.
+
+    ``history`` of delays, last ``plan`` (None before the first), states of the disturbance ``estimator`` and of the
+    ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None before it; steps ``blind``
+    since anything was measured; ``doubts`` (p,), steps for which the observer rejected each of its entries.
+    """
 
     history: History
     plan: Array | None
@@ -48,6 +54,7 @@ class MPCState:
     problem: ProblemState
     readout: Array | None
     blind: int
+    doubts: NDArray[np.int64]
 
 
 class MPC:
@@ -74,6 +81,10 @@ class MPC:
 
     The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by
     regression, the residual of the read-out at the measured state is added to all predicted outputs.
+
+    ``observer``: a :class:`KalmanFilter` of the model, for measurements with noise or of some of the states only;
+    without it the lifted state is that of the measurement. Its corrections drive the disturbance estimate, and entries
+    that it rejects are counted (``Move.rejected``).
 
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear model
     is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model, and on settings
@@ -104,6 +115,7 @@ class MPC:
         output_scale: ArrayLike | None = None,
         qp: QPSettings | None = None,
         input_basis: ArrayLike | None = None,
+        observer: KalmanFilter | None = None,
     ) -> None:
         self.model = model = model_of(model, "model")
         self.horizon = count(horizon, "horizon")
@@ -120,6 +132,9 @@ class MPC:
         _warn_of_growth(model.A, H)
         self._history: History
         self._readout: Array | None
+        if observer is not None and observer.model is not model:
+            raise ValueError("the observer is of another model; make it with KalmanFilter.from_data(model, ...)")
+        self._observer = observer
         self._estimator = DisturbanceEstimator(model.A, model.B, model.c, estimator_gain)
         self._response = self._condensed.response()
         self._linear = model.linear_in_u
@@ -174,6 +189,11 @@ class MPC:
         return self._limits.du_max
 
     @property
+    def estimates(self) -> bool:
+        """Whether an observer finds states that are not measured."""
+        return self._observer is not None
+
+    @property
     def disturbance(self) -> Array:
         """Current disturbance estimate w (M,) of the lifted state, per step."""
         return self._estimator.disturbance.copy()
@@ -189,7 +209,7 @@ class MPC:
         plan = None if self._plan is None else self._plan.copy()
         readout = None if self._readout is None else self._readout.copy()
         parts = self._estimator.snapshot(), self._problem.snapshot()
-        return MPCState(copy.deepcopy(self._history), plan, *parts, readout, self._blind)
+        return MPCState(copy.deepcopy(self._history), plan, *parts, readout, self._blind, self._doubts.copy())
 
     def restore(self, state: MPCState) -> None:
         """Go on, to the last bit, from a ``state`` that a controller with the same arguments took by ``snapshot``.
@@ -203,7 +223,7 @@ class MPC:
         self._history = copy.deepcopy(state.history)
         self._plan = None if state.plan is None else state.plan.copy()
         self._readout = None if state.readout is None else state.readout.copy()
-        self._blind = state.blind
+        self._blind, self._doubts = state.blind, state.doubts.copy()
 
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
         """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (H, p) of steps k+1 .. k+H.
@@ -224,17 +244,14 @@ class MPC:
         v_previous = limits.coordinates(history.u_previous) / problem.scale
         plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
         with np.errstate(over="ignore", invalid="ignore"):  # a lift that overflows ends as a status, not as a warning
-            x = self._bridged(measured)
-            if x is None:  # nothing is known yet: the arm rests
+            z, rejected = self._observed(measured)
+            if z is None:  # nothing is known yet: the arm rests
                 result = QPResult("not measured yet", None, 0, np.inf)
                 predicted = np.full((self.horizon, len(self.tracked)), np.nan)
             else:
-                history.measure(x)
-                z = self.model.lift(history.states, history.inputs)
                 w = self._estimator.update(z)
-                # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
-                self._readout = x - self.model.read(z)
                 S, y_free = self._response_along(z, w, problem.moves(plan))
+                assert self._readout is not None
                 y_free += np.tile(self._readout[list(self.tracked)], self.horizon)
                 if self._blind > self.horizon:
                     result = QPResult("blind for more than the horizon", None, 0, np.inf)
@@ -242,7 +259,7 @@ class MPC:
                     result = problem.solve(y_free, r, v_previous, plan, S)
             self._plan = plan if result.x is None else result.x
             u = limits.project(limits.offset + self._T @ problem.moves(self._plan)[0], history.u_previous)
-            if x is not None:
+            if z is not None:
                 applied = u if self._linear else self.model.features(u[None, :])[0]
                 self._estimator.predict(z, applied, self._products(z, u))
                 predicted = problem.outputs(y_free, self._plan)
@@ -256,7 +273,30 @@ class MPC:
             cpu_time=time.thread_time() - cpu,
             predicted=predicted,
             missing=missing,
+            rejected=rejected,
         )
+
+    def _observed(self, measured: Array) -> tuple[Array | None, int]:
+        """The lifted state (M,), None where nothing is known yet; how many entries of ``measured`` were rejected."""
+        history, observer, predicted = self._history, self._observer, self._estimator.predicted
+        if observer is not None and predicted is not None and np.isfinite(predicted).all():
+            innovation = observer.innovation(predicted, measured)
+            doubted = observer.doubted(innovation) & (self._doubts < PATIENCE)
+            self._doubts = np.where(doubted, self._doubts + 1, 0)
+            self._readout = np.zeros(self.model.n_states)
+            return observer.corrected(predicted, np.where(doubted, np.nan, innovation)), int(doubted.sum())
+        x = self._bridged(measured)
+        if x is None and observer is not None:
+            z = self.model.fixed_point(history.u_previous)
+            self._readout = np.zeros(self.model.n_states)
+            return observer.corrected(z, observer.innovation(z, measured)), 0
+        if x is None:
+            return None, 0
+        history.measure(x)
+        z = self.model.lift(history.states, history.inputs)
+        # What the read-out misses of the outputs measured now, it is taken to miss over the horizon too.
+        self._readout = x - self.model.read(z) if observer is None else np.zeros(self.model.n_states)
+        return z, 0
 
     def _bridged(self, measured: Array) -> Array | None:
         """The measurement (n,), predicted where it is NaN; None where nothing was measured yet to predict from."""
@@ -273,6 +313,7 @@ class MPC:
         self._plan = None
         self._readout = None
         self._blind = 0
+        self._doubts = np.zeros(0 if self._observer is None else len(self._observer.measured), dtype=np.int64)
 
     def _response_along(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
         """S (H p, H r), or None where it never changes, and y_free (H p,) for a plan v (H, r): y = y_free + S v."""

@@ -1,0 +1,151 @@
+"""The lifted state from any of the measured states, with noise, gaps and outliers: a steady-state Kalman filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit.checks import Array, finite_array, non_negative, positive
+from pisplit.data.episodes import Episodes
+from pisplit.evaluation.matching import Fitted, matched, model_of, state_indices
+from pisplit.lifted.model import LiftedModel
+
+#: Doublings of the Riccati iteration, and the relative change of the covariance at which it has converged.
+DOUBLINGS, CONVERGED = 40, 1e-9
+#: Least noise of a measurement, in parts of the state's range: what is exact gets this.
+EXACT = 1e-6
+
+
+class KalmanFilter:
+    """Steady-state Kalman filter of z+ = A z + B phi(u) + c + process noise, y = C z + d + measurement noise.
+
+    Of the prediction z it makes z + L (y - C z - d), y being those states that ``measured`` names. An entry that was
+    not measured, or that lies more than ``gate`` of its standard deviations away, changes nothing (its innovation is
+    set to zero), so that one gain serves all steps.
+
+    Args:
+        model: the model, linear in z; or an estimator that was fitted.
+        process: covariance (M, M) of what the model misses in a step of the lifted state.
+        std: noise of the measured states, a number, one each (p,), or {unit: standard deviation}.
+        measured: the states that are measured, an output of the model, or names or positions; all if not given.
+        gate: innovations beyond so many standard deviations are rejected; None rejects nothing.
+
+    Attributes:
+        measured: positions (p,) of the measured states; gain: L (M, p); innovation_std: (p,) expected of innovations.
+
+    Raises ValueError for other shapes, negative noise, and models that are bilinear in z and u.
+
+    Source: Anderson and Moore, *Optimal Filtering* (1979), chapter 4; the doubling iteration for the Riccati equation
+    is in section 6.7.
+    """
+
+    def __init__(
+        self,
+        model: LiftedModel | Fitted,
+        process: ArrayLike,
+        std: ArrayLike | Mapping[str, float],
+        measured: str | Sequence[int] | Sequence[str] | None = None,
+        gate: float | None = 5.0,
+    ) -> None:
+        self.model = found = model_of(model, "model")
+        if found.is_bilinear:
+            raise ValueError("a Kalman filter with one gain is for models linear in z; this one is bilinear")
+        self.measured: NDArray[np.int64] = state_indices(found, measured)
+        self.gate = None if gate is None else positive(gate, "gate")
+        M = found.n_lifted
+        Q = finite_array(process, "process", (M, M))
+        self._C, self._d = found.C[self.measured], found.d[self.measured]
+        noise: Array = np.maximum(_noise(found, self.measured, std), EXACT * found.state_range[self.measured])
+        P = predicted_covariance(found.A, self._C, 0.5 * (Q + Q.T), noise**2)
+        S = self._C @ P @ self._C.T + np.diag(noise**2)
+        self.gain: Array = np.asarray(np.linalg.solve(S, self._C @ P).T, dtype=np.float64)
+        self.innovation_std: Array = np.sqrt(np.diag(S))
+
+    @classmethod
+    def from_data(
+        cls,
+        model: LiftedModel | Fitted,
+        episodes: Episodes,
+        std: ArrayLike | Mapping[str, float],
+        measured: str | Sequence[int] | Sequence[str] | None = None,
+        gate: float | None = 5.0,
+    ) -> KalmanFilter:
+        """The filter whose process noise is what the model misses in one step of recorded ``episodes``.
+
+        model, std, measured, gate  as for the filter itself
+        episodes                    recordings with the states and inputs of the model, found by name
+
+        Raises ValueError for episodes of other names, units or time step.
+        """
+        found = model_of(model, "model")
+        data = matched(found, episodes)
+        pairs = data.pairs(found.n_delays)
+        total = np.zeros((found.n_lifted, found.n_lifted))
+        for b in pairs.blocks():
+            past, now = b.u_history, b.u[:, None, :]
+            z = found.lift(b.x_history, past)
+            later = np.concatenate([b.x_history[:, 1:], b.x_next[:, None, :]], axis=1)
+            after = found.lift(later, np.concatenate([past, now], axis=1)[:, 1:] if found.n_delays else past)
+            missed = after - z @ found.A.T - found.features(b.u) @ found.B.T - found.c
+            total += missed.T @ missed
+        return cls(found, total / len(pairs), std, measured, gate)
+
+    def innovation(self, predicted: Array, x: Array) -> Array:
+        """y - C z - d (p,) of z = ``predicted`` (M,) and the state ``x`` (n,), NaN where it was not measured."""
+        return np.asarray(x[self.measured] - self._C @ predicted - self._d)
+
+    def doubted(self, innovation: Array) -> NDArray[np.bool_]:
+        """Which entries (p,) of an ``innovation`` (p,) are too far away to be believed."""
+        if self.gate is None:
+            return np.zeros(len(innovation), dtype=bool)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.abs(innovation) > self.gate * self.innovation_std)
+
+    def corrected(self, predicted: Array, innovation: Array) -> Array:
+        """z + L innovation (M,) of z = ``predicted`` (M,); NaN in the ``innovation`` (p,) counts as zero."""
+        return np.asarray(predicted + self.gain @ np.nan_to_num(innovation, nan=0.0))
+
+
+def predicted_covariance(A: Array, C: Array, Q: Array, r: Array) -> Array:
+    """P (M, M), the covariance of predictions: P = A (P - P C^T (C P C^T + R)^-1 C P) A^T + Q with R = diag(r).
+
+    A (M, M), C (p, M), Q (M, M) symmetric, r (p,) positive. Doubling: after k iterations it is the covariance 2^k steps
+    after a state known exactly. Raises ValueError where it does not converge: a mode that grows and is not measured.
+    """
+    a, g, h = A.T.copy(), C.T @ (C / r[:, None]), Q.copy()
+    scale = max(float(np.abs(Q).max()), 1e-300)
+    for _ in range(DOUBLINGS):
+        w = np.eye(len(A)) + g @ h
+        both = np.linalg.solve(w, np.hstack([a, g]))
+        aw, gw = both[:, : len(A)], both[:, len(A) :]
+        step = a.T @ h @ aw
+        g = g + a @ gw @ a.T
+        a = a @ aw
+        h = h + 0.5 * (step + step.T)
+        g = 0.5 * (g + g.T)
+        scale = max(scale, float(np.abs(h).max()))
+        if not np.isfinite(h).all():
+            break
+        if np.abs(step).max() <= CONVERGED * scale:
+            return h
+    raise ValueError(
+        "the covariance of predictions grows without bound: the model has a mode that does not decay and that the "
+        "measured states do not show; measure more, or bound the model with max_radius"
+    )
+
+
+def _noise(model: LiftedModel, measured: NDArray[np.int64], std: ArrayLike | Mapping[str, float]) -> Array:
+    """Standard deviations (p,) of the measured states."""
+    if isinstance(std, Mapping):
+        units = [model.units[i] for i in measured]
+        unknown = sorted(set(std) - set(model.units))
+        if unknown:
+            raise ValueError(f"no state of the model has the unit {unknown[0]!r}; it has {sorted(set(model.units))}")
+        return np.array([non_negative(std.get(unit, 0.0), f"std of {unit!r}") for unit in units])
+    given = np.full(len(measured), non_negative(std, "std")) if np.ndim(std) == 0 else std
+    found = finite_array(given, "std", (len(measured),))
+    if (found < 0.0).any():
+        raise ValueError("std has negative entries; expected standard deviations")
+    return found
