@@ -160,7 +160,7 @@ def make_episodes(
         progress: whether to show a bar.
         law: of the inputs (:data:`LAWS`).
         compiled, backlash: see above.
-        method: what moves the arm (:data:`METHODS`): large checked Gauss steps (``Scene.fast_stepper``), whose errors
+        method: what moves the arm (:data:`METHODS`): large checked Radau steps (``Scene.fast_stepper``), whose errors
             stay below 1e-4 L, or IDAS. Steps that the fast way left to smaller ones or to IDAS are counted in the
             provenance, ``fallback_steps``.
     """

@@ -52,8 +52,8 @@ def measure_dynamics(report: Report, quick: bool, seed: int, out: Path) -> None:
     report.figure("dynamics paper arm, step of 0.03 s", default.time, "ms", ("<=", 4.0))
     report.figure(f"dynamics paper arm, maximum tip error over {span}", default.error, "L", ("<=", 1e-3))
     fast = fast_point(nodes, DT, commands, reference, 5)
-    report.figure("dynamics fast Gauss steps, step of 0.03 s", fast.time, "ms", ("<=", 0.3))
-    report.figure(f"dynamics fast Gauss steps, maximum tip error over {span}", fast.error, "L", ("<=", 1e-4))
+    report.figure("dynamics fast Radau steps, step of 0.03 s", fast.time, "ms", ("<=", 0.3))
+    report.figure(f"dynamics fast Radau steps, maximum tip error over {span}", fast.error, "L", ("<=", 1e-4))
     single_steps(report, commands, reference)
     points = [
         point(k, tolerance, commands, reference, 1)
@@ -108,10 +108,10 @@ def timed(mover: Simulator | FastStepper, commands: np.ndarray, repeats: int) ->
 
 
 def fast_point(nodes: int, step: float, commands: np.ndarray, reference: np.ndarray, repeats: int) -> Point:
-    """Large checked Gauss steps against the reference."""
+    """Large checked Radau steps against the reference."""
     mover = TendonArm.paper(nodes).scene.fast_stepper(DT, step=step)
     found, spent = timed(mover, commands, repeats)
-    return Point(f"fast Gauss, K = {nodes}", step, spent, float(np.abs(found - reference).max()))
+    return Point(f"fast Radau, K = {nodes}", step, spent, float(np.abs(found - reference).max()))
 
 
 def point(nodes: int, rtol: float, commands: np.ndarray, reference: np.ndarray, repeats: int) -> Point:
@@ -125,7 +125,7 @@ def single_steps(report: Report, commands: np.ndarray, reference: np.ndarray) ->
     arm = TendonArm.paper(DEFAULT[0])
     plants: list[tuple[str, Simulator | FastStepper]] = [
         ("IDAS", arm.scene.simulator(DT, rtol=DEFAULT[1])),
-        ("fast Gauss", arm.scene.fast_stepper(DT)),
+        ("fast Radau", arm.scene.fast_stepper(DT)),
     ]
     for name, simulator in plants:
         _single_steps(report, name, simulator, commands, reference)

@@ -33,12 +33,19 @@ class Collocation(Rebuilt):
     Args:
         equations: the scene whose balance (paper, eq. cosserat_rod_eq) holds at the stages.
         stages: number s of stages.
+        family: "gauss", of order 2 s, which keeps the energy of undamped rods; or "radau" (Radau IIA, order 2 s - 1),
+            whose last stage is the end of the step and which damps what is too fast for it (Hairer & Wanner, *Solving
+            Ordinary Differential Equations II*, 1996, section IV.5).
     """
 
-    def __init__(self, equations: Scene, stages: int) -> None:
-        self.equations, self.stages = equations, stages
-        rule = GaussRule(1.0, stages)
-        self.c, self.b, self.a = rule.nodes, rule.weights, rule.integration
+    def __init__(self, equations: Scene, stages: int, family: str = "gauss") -> None:
+        self.equations, self.stages, self.family = equations, stages, family
+        if family == "gauss":
+            rule = GaussRule(1.0, stages)
+            self.c, self.b, self.a = rule.nodes, rule.weights, rule.integration
+        else:
+            self.c, self.a = radau(stages)
+            self.b = self.a[-1]
 
     # Functions of the equations --------------------------------------------------------------------------------------
 
@@ -141,3 +148,15 @@ class Collocation(Rebuilt):
         """Weights (s, s) that extrapolate a polynomial at the stages of one step to those of the next."""
         here, there = np.vander(self.c, self.stages), np.vander(1.0 + self.c, self.stages)
         return np.asarray(np.linalg.solve(here.T, there.T), dtype=np.float64)
+
+
+def radau(stages: int) -> tuple[Array, Array]:
+    """Nodes (s,) and matrix (s, s) of Radau IIA: collocation at the zeros of d^(s-1)/dx^(s-1) x^(s-1) (x-1)^s.
+
+    ``stages`` is s.
+    """
+    polynomial = np.poly1d([1.0, 0.0]) ** (stages - 1) * np.poly1d([1.0, -1.0]) ** stages
+    c = np.sort(np.real(np.roots(np.polyder(polynomial, stages - 1))))
+    powers = np.arange(1, stages + 1)
+    a = (c[:, None] ** powers / powers) @ np.linalg.inv(c[:, None] ** (powers - 1))
+    return c, a

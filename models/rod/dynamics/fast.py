@@ -1,4 +1,4 @@
-"""Dynamics by large collocation steps, a whole trajectory as one call, each step checked."""
+"""Dynamics by large collocation steps that damp what they cannot follow, a whole run as one call, steps checked."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, positive
+from pisplit.models.rod.dynamics.collocation import Collocation
 from pisplit.models.rod.dynamics.motion_check import reason
 from pisplit.models.rod.dynamics.stepper import Stepper
 from pisplit.models.rod.dynamics.trajectory import Trajectory
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 CORRECTIONS = 4
 #: Last correction of the strains in parts of their nominal size up to which a step converged.
 CONVERGED = 1e-3
-#: Defect at the end of a step up to which it is taken: see ``FastStepper``.
+#: Defect at the start of a step up to which it is taken: see ``FastStepper``.
 SMALL_DEFECT = 0.01
 #: Lengths of calls, in steps; each is built once.
 CALLS = (64, 16, 4, 1)
@@ -48,17 +49,20 @@ class _Taken:
 
 
 class FastStepper(Stepper):
-    """Motion of a scene in few large Gauss steps, up to 64 of them in one CasADi call: for data, loops and predictions.
+    """Motion of a scene in few large Radau steps, up to 64 of them in one CasADi call: for data, loops and predictions.
 
     Every step starts from zero accelerations and takes four Newton corrections with one matrix. Its last correction and
-    its defect, what the balance misses at the end of the step in terms of strains, decide whether it is taken: the
+    its defect, what the balance misses at the start of the step in terms of strains, decide whether it is taken: the
     step with the largest defect of every call is done again in two halves, which tells what a defect is worth in
     metres; intervals with a large defect or an error of more than ``accuracy`` L, and those that do not converge, are
     taken in halves, quarters and so on, each of which is compared with its own halves, and by IDAS where that fails.
     ``Trajectory.fallbacks`` names them. A single ``step`` is judged by its defect alone, so that it depends on state
     and command only.
 
-    Source: Hairer, Lubich and Wanner, *Geometric Numerical Integration* (2006), chapter II.1.
+    Radau IIA steps (order 3 or 5) damp the modes that are too fast for them, which Gauss steps keep as a ripple from
+    step to step.
+
+    Source: Hairer and Wanner, *Solving Ordinary Differential Equations II* (1996), section IV.5.
 
     Args:
         scene: what moves.
@@ -70,7 +74,7 @@ class FastStepper(Stepper):
         balance: ``"auto"``, ``"direct"`` or ``"variational"`` equations: see ``equations_of_motion``.
     """
 
-    scheme = "fast Gauss"
+    scheme = "fast Radau"
     counters = ("nsteps", "halved", "idas")
 
     def __init__(
@@ -95,6 +99,11 @@ class FastStepper(Stepper):
         half = self.dt / (2 * self.substeps)
         return FastStepper(scene, self.dt, half, self.stages, finer * self.accuracy, balance=self.balance)
 
+    @cached_property
+    def collocation(self) -> Collocation:
+        """The functions of one internal step."""
+        return Collocation(self.equations, self.stages, "radau")
+
     # One step --------------------------------------------------------------------------------------------------------
 
     @cached_property
@@ -112,9 +121,9 @@ class FastStepper(Stepper):
         for _ in range(CORRECTIONS):
             z, size = scheme.corrected(x, u0, u1, h, z, inverse)
         end = ca.vertcat(x[:n] + h * x[n:] + h * h * (z @ (scheme.b @ scheme.a)), x[n:] + h * (z @ scheme.b))
-        # The residual at the end as a force that acts over the step: how far it would bend the rod.
-        last = z @ ca.DM(np.linalg.solve(np.vander(scheme.c).T, np.ones(s)))
-        missed = residual(end[:n], end[n:], last, u1)
+        # The residual at the start as a force that acts over the step: how far it would bend the rod.
+        first = z @ ca.DM(np.linalg.solve(np.vander(scheme.c).T, np.eye(s)[-1]))
+        missed = residual(x[:n], x[n:], first, u0)
         bent = ca.reshape(inverse @ ca.vec(ca.repmat(missed, 1, s)), n, s) @ (scheme.b @ scheme.a)
         defect = h * h * ca.norm_2(bent / ca.DM(scene.nominal_strains)) / np.sqrt(scene.nodes)
         return ca.Function("one", [x, u0, u1, h], [end, size, defect])
