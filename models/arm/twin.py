@@ -22,7 +22,7 @@ THINNED, ROWS_PER_CENTRE = 7, 4
 #: Softplus width of slack features [m].
 SLACK_WIDTH = 1e-4
 #: Strains v of a backbone without shear and stretch are axial forces in the seventh digit: they predict nothing.
-OMIT = ("v",)
+OMIT: tuple[str, ...] = ("v",)
 
 
 def twin_dictionaries(twin: Episodes, excitation: Array) -> list[tuple[Dictionary, float]]:
