@@ -1,4 +1,4 @@
-"""Closed loops on the paper's arm under noise, gaps, outliers, payload, play and lag: RMS error of the true tip."""
+"""Closed loops on the paper's arm under delays, noise, gaps, outliers, payload and play: RMS error of the true tip."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ Wrap = Callable[[Any], Any]
 class Case:
     """A loop: what stands around the ``arm``, what is ``measured`` ("all", "shape", "tip", or "" without a filter).
 
-    ``target`` is the largest RMS error in mm that is asked for.
+    ``target`` is the largest RMS error in mm that is asked for. The delays, in steps, are those that the controller is
+    told.
     """
 
     name: str
@@ -55,11 +56,18 @@ class Case:
     measured: str = "all"
     wrap: Wrap = plants.WrappedPlant
     target: float | None = None
+    command_delay: float = 0.0
+    measurement_delay: float = 0.0
 
 
 def noisy(plant: Any, seed: int) -> plants.NoisyMeasurements:
     """The usual noise on all states."""
     return plants.NoisyMeasurements(plant, NOISE, ANGLE, seed)
+
+
+def late(steps: float) -> Wrap:
+    """Measurements that come ``steps`` samples late."""
+    return lambda plant: plants.DelayedMeasurements(plant, steps)
 
 
 def cases(arm: TendonArm, seed: int) -> list[Case]:
@@ -76,6 +84,25 @@ def cases(arm: TendonArm, seed: int) -> list[Case]:
     return [
         Case("nominal, no filter", arm, "", target=0.5),
         Case("nominal", arm, target=0.5),
+        Case("one step of delay of commands, not told", arm, "", lambda p: plants.DelayedCommands(p, 1.0)),
+        Case(
+            "one step of delay of commands, told", arm, "", lambda p: plants.DelayedCommands(p, 1.0), command_delay=1.0
+        ),
+        Case("one step of delay of measurements, told", arm, "", late(1.0), measurement_delay=1.0),
+        Case(
+            "0.4 steps of delay of commands, told", arm, "", lambda p: plants.DelayedCommands(p, 0.4), command_delay=0.4
+        ),
+        Case("0.4 steps of delay of measurements, told", arm, "", late(0.4), measurement_delay=0.4),
+        Case(
+            "two steps of delay of commands, told", arm, "", lambda p: plants.DelayedCommands(p, 2.0), command_delay=2.0
+        ),
+        Case(
+            "three steps of delay of commands, told",
+            arm,
+            "",
+            lambda p: plants.DelayedCommands(p, 3.0),
+            command_delay=3.0,
+        ),
         Case("noise, no filter", arm, "", lambda p: noisy(p, seed)),
         Case("noise, all fields", arm, "all", lambda p: noisy(p, seed), 0.5),
         Case("noise, six markers", arm, "shape", lambda p: noisy(p, seed), 0.7),
@@ -105,6 +132,7 @@ def fitted(arm: TendonArm, folder: Path, seed: int, quick: bool) -> tuple[PIEDMD
 def main() -> None:
     """Fit once, run every case, print and draw."""
     made = parser(__doc__.splitlines()[0], "out/robustness")
+    made.add_argument("--only", default="", help="cases whose name has this in it")
     made.add_argument("--steps", type=int, default=400, help="steps of 30 ms in every loop")
     given = made.parse_args()
     if given.steps <= SETTLED:
@@ -117,13 +145,14 @@ def main() -> None:
     steps = min(given.steps, 200) if given.quick else given.steps
     observers: dict[str, KalmanFilter | None] = {"": None}
     found: dict[str, tuple[float, float | None]] = {}
-    for case in tqdm(cases(arm, given.seed), desc="loops", unit="loop"):
+    for case in tqdm([c for c in cases(arm, given.seed) if given.only in c.name], desc="loops", unit="loop"):
         if case.measured not in observers:
             measured = None if case.measured == "all" else case.measured
             observers[case.measured] = KalmanFilter.from_data(model, d1, TOLD, measured)
         observer = observers[case.measured]
-        gain = 0.3 if observer is None else 0.1
-        mpc = MPC(model, HORIZON, -0.014, 0.016, 0.002, estimator_gain=gain, observer=observer)
+        gain = None if observer is None else 0.1
+        delays = {"command_delay": case.command_delay, "measurement_delay": case.measurement_delay}
+        mpc = MPC(model, HORIZON, -0.014, 0.016, 0.002, estimator_gain=gain, observer=observer, **delays)
         plant = case.wrap(plants.WrappedPlant(case.arm.scene.fast_stepper(dt=DT)))
         log = ClosedLoop(plant, mpc).run(reference, steps, u0=arm.rest_inputs, progress=False)
         true = plant.true_states[:, list(log.tracked)]

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import ArpackError, eigs
 from pisplit.checks import Array, count, non_negative, positive, real_array
 from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
 from pisplit.controllers.estimation.kalman import KalmanFilter
-from pisplit.controllers.loop.history import History
+from pisplit.controllers.loop.history import History, Line
 from pisplit.controllers.loop.tracking import (
     Move,
     check_dt,
@@ -25,6 +25,7 @@ from pisplit.controllers.loop.tracking import (
     tracked_states,
 )
 from pisplit.controllers.mpc.condense import condense
+from pisplit.controllers.mpc.latency import Latency
 from pisplit.controllers.mpc.limits import directions, input_limits
 from pisplit.controllers.mpc.problem import ProblemState, TrackingProblem, Weights
 from pisplit.controllers.mpc.qp import QPResult, QPSettings
@@ -35,6 +36,7 @@ from pisplit.evaluation.matching import Fitted, model_of
 from pisplit.lifted.model import LiftedModel
 
 GROWTH_LIMIT = 100.0
+GAIN = 0.3  # of the disturbance estimate, where there is no delay
 #: Steps in a row in which an entry of the measurement may be rejected; then the model is wrong, and not the sensor.
 PATIENCE = 12
 
@@ -45,7 +47,8 @@ class MPCState:
 
     ``history`` of delays, last ``plan`` (None before the first), states of the disturbance ``estimator`` and of the
     ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None before it; steps ``blind``
-    since anything was measured; ``doubts`` (p,), steps for which the observer rejected each of its entries.
+    since anything was measured; ``doubts`` (p,), steps for which the observer rejected each of its entries; ``line`` of
+    commands on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first.
     """
 
     history: History
@@ -55,6 +58,9 @@ class MPCState:
     readout: Array | None
     blind: int
     doubts: NDArray[np.int64]
+    line: tuple[Array, ...]
+    commanded: Array
+    wanted: Array | None
 
 
 class MPC:
@@ -73,11 +79,12 @@ class MPC:
     order, e.g. (0, 1): outputs, weights, limits and predictions have the order of ``axes``.
     ``output_scale`` e: sizes of the outputs, a number or (p,) in output units; the range of each in the training data
     if not given (``state_range`` of the model). Weights are relative to it and to a, so that they depend on no unit.
-    ``output_weight``: a number or one per tracked output. A stiff arm with a model linear in u wants a ``rate_weight``
-    near 0.02, a soft arm near 2e-4. y_min, y_max: numbers or (p,) in output units, infinite or None where absent; soft,
-    so that the problem always has a solution; ``output_slack_weight`` (1e3 if not given) prices their excess s_j.
-    ``estimator_gain``: 0 (no disturbance estimate) to 1. ``dt``: if given, must be the model's. ``qp``: settings of
-    the solver.
+    ``output_weight``: a number or one per tracked output. A stiff arm with a model linear in u wants a
+    ``rate_weight`` near 0.02, a soft arm near 2e-4. y_min, y_max: numbers or (p,) in output units, infinite or None
+    where absent; soft, so that the problem always has a solution; ``output_slack_weight`` (1e3 if not given) prices
+    their excess s_j. ``estimator_gain``: 0 (no disturbance estimate) to 1; if not given 0.3, divided by one plus
+    the delays in steps. ``dt``: if given, must be the model's. ``qp``: settings of the solver, :class:`QPSettings`:
+    OSQP, or DAQP where it is installed.
 
     The disturbance estimate makes predictions of the lifted state unbiased; where outputs are read from it by
     regression, the residual of the read-out at the measured state is added to all predicted outputs.
@@ -85,6 +92,11 @@ class MPC:
     ``observer``: a :class:`KalmanFilter` of the model, for measurements with noise or of some of the states only;
     without it the lifted state is that of the measurement. Its corrections drive the disturbance estimate, and entries
     that it rejects are counted (``Move.rejected``).
+
+    ``command_delay``, ``measurement_delay``: known delays in steps, fractions allowed, between a command and its
+    action and between a state and its measurement; the prediction starts where commands can still change something.
+    For models of the plant without these delays: one that was fitted to recordings with them has them inside. The
+    ``horizon`` attribute, the samples of the reference that ``step`` takes, grows by what the delay of commands needs.
 
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear model
     is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model, and on settings
@@ -107,7 +119,7 @@ class MPC:
         output_weight: ArrayLike = 1.0,
         rate_weight: float = 0.02,
         input_weight: float = 0.0,
-        estimator_gain: float = 0.3,
+        estimator_gain: float | None = None,
         dt: float | None = None,
         y_min: ArrayLike | None = None,
         y_max: ArrayLike | None = None,
@@ -116,26 +128,32 @@ class MPC:
         qp: QPSettings | None = None,
         input_basis: ArrayLike | None = None,
         observer: KalmanFilter | None = None,
+        command_delay: float = 0.0,
+        measurement_delay: float = 0.0,
     ) -> None:
         self.model = model = model_of(model, "model")
-        self.horizon = count(horizon, "horizon")
+        self._H = count(horizon, "horizon")
+        self._latency = Latency(command_delay, measurement_delay)
+        self.horizon = self._H + self._latency.preview
         check_dt(model, dt)
         target = tracked_states(model, track, axes)
         self.track, self.group, self.axes, self.tracked = target.name, target.group, target.axes, target.states
         basis = model.input_basis if input_basis is None else directions(input_basis, model.n_inputs)
         self._limits = input_limits(u_min, u_max, du_max, model.n_inputs, model.input_offset, basis)
         self.notes = _held_directions(model, basis, input_basis is not None)
-        p, H = len(self.tracked), self.horizon
+        p, H = len(self.tracked), self._H
         rows = list(self.tracked)
         self._read, self._read_offset = model.C[rows], model.d[rows]
         self._condensed = condense(model.A, model.B, model.c, self._read, self._read_offset, H)
         _warn_of_growth(model.A, H)
         self._history: History
         self._readout: Array | None
+        self._wanted: Array | None
         if observer is not None and observer.model is not model:
             raise ValueError("the observer is of another model; make it with KalmanFilter.from_data(model, ...)")
         self._observer = observer
-        self._estimator = DisturbanceEstimator(model.A, model.B, model.c, estimator_gain)
+        gain = GAIN / (1.0 + self._latency.total) if estimator_gain is None else estimator_gain
+        self._estimator = DisturbanceEstimator(model.A, model.B, model.c, gain)
         self._response = self._condensed.response()
         self._linear = model.linear_in_u
         scale = model.state_range[rows] if output_scale is None else _each_output(output_scale, "output_scale", p)
@@ -168,6 +186,8 @@ class MPC:
             D = model.n_delays
             z = model.lift(np.zeros((D + 1, model.n_states)), np.tile(centre, (D, 1)))
             S, _ = self._along(z, np.zeros(model.n_lifted), np.tile(centre, (H, 1)))
+        self._undelayed = S
+        S = self._latency.mixed(S, self._T.shape[1])
         self._problem = TrackingProblem(H, limits, weights, low, high, S, qp or QPSettings())
         if self._linear:
             self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)
@@ -209,7 +229,10 @@ class MPC:
         plan = None if self._plan is None else self._plan.copy()
         readout = None if self._readout is None else self._readout.copy()
         parts = self._estimator.snapshot(), self._problem.snapshot()
-        return MPCState(copy.deepcopy(self._history), plan, *parts, readout, self._blind, self._doubts.copy())
+        wanted = None if self._wanted is None else self._wanted.copy()
+        counts = self._blind, self._doubts.copy()
+        line, commanded = self._line.own(), self._commanded.copy()
+        return MPCState(copy.deepcopy(self._history), plan, *parts, readout, *counts, line, commanded, wanted)
 
     def restore(self, state: MPCState) -> None:
         """Go on, to the last bit, from a ``state`` that a controller with the same arguments took by ``snapshot``.
@@ -224,9 +247,12 @@ class MPC:
         self._plan = None if state.plan is None else state.plan.copy()
         self._readout = None if state.readout is None else state.readout.copy()
         self._blind, self._doubts = state.blind, state.doubts.copy()
+        self._line.take(state.line)
+        self._commanded = state.commanded.copy()
+        self._wanted = None if state.wanted is None else state.wanted.copy()
 
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
-        """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (H, p) of steps k+1 .. k+H.
+        """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (``horizon``, p) of k+1 on.
 
         NaN in the reference is a free output, NaN in the measurement was not measured: the model's prediction stands
         for it. After a whole horizon without any measurement the last plan goes on to its steady end.
@@ -235,35 +261,39 @@ class MPC:
         Raises ValueError on wrong shapes and on infinite measurements.
         """
         wall, cpu = time.perf_counter(), time.thread_time()
-        r = checked_window(reference_window, self.horizon, len(self.tracked)).ravel()
+        window = checked_window(reference_window, self.horizon, len(self.tracked))
+        r = self._latency.wanted(window, window[0] if self._wanted is None else self._wanted).ravel()
         measured = checked_measurement(in_order(x_measured, self.model.state_names, "states"), self.model.n_states)
         problem, limits, history = self._problem, self._limits, self._history
         missing = int(np.count_nonzero(np.isnan(measured)))
         self._blind = self._blind + 1 if missing == len(measured) else 0
 
-        v_previous = limits.coordinates(history.u_previous) / problem.scale
+        self._wanted = window[0].copy()
+        v_previous = limits.coordinates(self._commanded) / problem.scale
         plan = problem.hold(v_previous) if self._plan is None else problem.shift(self._plan)
         with np.errstate(over="ignore", invalid="ignore"):  # a lift that overflows ends as a status, not as a warning
             z, rejected = self._observed(measured)
             if z is None:  # nothing is known yet: the arm rests
                 result = QPResult("not measured yet", None, 0, np.inf)
-                predicted = np.full((self.horizon, len(self.tracked)), np.nan)
+                predicted = np.full((self._H, len(self.tracked)), np.nan)
             else:
                 w = self._estimator.update(z)
-                S, y_free = self._response_along(z, w, problem.moves(plan))
+                S, y_free = self._response_along(self._ahead(z, w), w, problem.moves(plan), v_previous)
                 assert self._readout is not None
-                y_free += np.tile(self._readout[list(self.tracked)], self.horizon)
-                if self._blind > self.horizon:
+                y_free += np.tile(self._readout[list(self.tracked)], self._H)
+                if self._blind > self._H:
                     result = QPResult("blind for more than the horizon", None, 0, np.inf)
                 else:
                     result = problem.solve(y_free, r, v_previous, plan, S)
             self._plan = plan if result.x is None else result.x
-            u = limits.project(limits.offset + self._T @ problem.moves(self._plan)[0], history.u_previous)
+            u = limits.project(limits.offset + self._T @ problem.moves(self._plan)[0], self._commanded)
+            acting = self._line(u)
             if z is not None:
-                applied = u if self._linear else self.model.features(u[None, :])[0]
-                self._estimator.predict(z, applied, self._products(z, u))
+                applied = acting if self._linear else self.model.features(acting[None, :])[0]
+                self._estimator.predict(z, applied, self._products(z, acting))
                 predicted = problem.outputs(y_free, self._plan)
-        history.apply(u)
+        self._commanded = u.copy()
+        history.apply(acting)
         return Move(
             u=u,
             status=result.status,
@@ -310,13 +340,39 @@ class MPC:
 
     def _start(self, u0: Array) -> None:
         self._history = History(self.model.n_delays, self.model.n_states, u0)
+        self._line = Line(self._latency.total, "command_delay + measurement_delay")
+        self._line.fill(u0)
+        self._commanded = np.array(u0)
+        self._wanted = None
         self._plan = None
         self._readout = None
         self._blind = 0
         self._doubts = np.zeros(0 if self._observer is None else len(self._observer.measured), dtype=np.int64)
 
-    def _response_along(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
-        """S (H p, H r), or None where it never changes, and y_free (H p,) for a plan v (H, r): y = y_free + S v."""
+    def _ahead(self, z: Array, w: Array) -> Array:
+        """The lifted state (M,) once the commands on their way have acted, from ``z`` (M,) as measured now."""
+        for u in self._line.coming():
+            products = self._products(z, u)
+            z = self.model.A @ z + self.model.B @ self.model.features(u[None, :])[0] + self.model.c + w
+            z = z if products is None else z + products
+        return z
+
+    def _response_along(self, z: Array, w: Array, v: Array, v_previous: Array) -> tuple[Array | None, Array]:
+        """S (H p, H r), or None where it never changes, and y_free (H p,) for commands v (H, r): y = y_free + S v.
+
+        ``v_previous`` (r,): the command before them, of which a part acts still where delays are no whole steps.
+        """
+        latency, r = self._latency, v.shape[1]
+        acting = latency.acting(v, v_previous)
+        S, y_free = self._acting_response(z, w, acting)
+        if latency.part > 0.0:
+            first = (self._undelayed if S is None else S)[:, :r]
+            y_free = y_free + latency.part * first @ v_previous
+            S = None if S is None else latency.mixed(S, r)
+        return S, y_free
+
+    def _acting_response(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
+        """As ``_response_along``, for inputs v (H, r) that act at once."""
         u = self._limits.offset + v @ self._T.T
         if self._along is not None:
             S, y = self._along(z, w, u)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.checks import Array
+from pisplit.controllers.mpc.active_set import ActiveSetQP
 from pisplit.controllers.mpc.limits import InputLimits
-from pisplit.controllers.mpc.qp import QP, QPResult, QPSettings, QPState
+from pisplit.controllers.mpc.qp import QP, ProgramSolver, QPResult, QPSettings, QPState
 
 RESCALE = 2.0  # change of the mean curvature, or of the reach, from which the problem is scaled anew
 
@@ -124,6 +125,11 @@ class TrackingProblem:
         self._S, self._specified = response, np.ones(H * self._p, dtype=bool)
         self._normalise, self._reach, self._multipliers = 0.0, 0.0, np.zeros(int(first[-1]))
         P = self._scaled()
+        self._qp: ProgramSolver
+        if settings.solver == "daqp":
+            self._qp = ActiveSetQP(P, self._A, settings)
+            self._beginning = self.snapshot()
+            return
         P_pattern = np.zeros((self.n_variables, self.n_variables), dtype=bool)
         P_pattern[: self.n_moves, : self.n_moves] = True
         P_pattern |= np.eye(self.n_variables, dtype=bool)

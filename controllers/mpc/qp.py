@@ -1,35 +1,52 @@
-"""Quadratic programs on native OSQP: set up once, new vectors and values every step."""
+"""Quadratic programs, on native OSQP or on DAQP: set up once, new vectors and values every step."""
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
-from pisplit.checks import Array, count, positive
+from pisplit.checks import Array, count, one_of, positive
 
+SOLVERS = ("osqp", "daqp")
 RHO = 0.1  # OSQP's default, put back at a restart so that runs repeat
 PRIMAL_TOLERANCE = 1e-2  # constraint rows are scaled to unit size; what is left is removed by the projection of u0
 
 
+def installed(name: str) -> bool:
+    """Whether the module ``name`` can be imported."""
+    try:
+        importlib.import_module(name)
+    except ImportError:
+        return False
+    return True
+
+
 @dataclass(frozen=True)
 class QPSettings:
-    """OSQP settings. The first solve has no warm start and gets more iterations than those in the loop.
+    """Solver and its settings. The first solve has no warm start and gets more iterations than those in the loop.
 
     ``eps``: absolute and relative tolerance of both residuals, in the units of the scaled problem (cost per mean
     curvature, rows of unit size). ``max_iterations`` of every solve but the first, which gets
-    ``first_max_iterations``. Raises ValueError where one of them is not positive.
+    ``first_max_iterations``. ``solver``: "osqp", or "daqp" (``pip install pisplit[daqp]``), a dual active-set method:
+    exact, for ``eps`` bounds only what the rows are violated by, and its every solve has the limit of the first. Raises
+    ValueError where a number is not positive, for other solvers and for one that is not installed.
     """
 
     eps: float = 1e-4
-    max_iterations: int = 200
+    max_iterations: int = 1000
     first_max_iterations: int = 4000
+    solver: str = "osqp"
 
     def __post_init__(self) -> None:
+        one_of(self.solver, "solver", SOLVERS)
+        if self.solver == "daqp" and not installed("daqp"):
+            raise ValueError('solver = "daqp" needs the package daqp; pip install pisplit[daqp], or take "osqp"')
         positive(self.eps, "eps")
         count(self.max_iterations, "max_iterations")
         count(self.first_max_iterations, "first_max_iterations")
@@ -182,6 +199,32 @@ class QP:
         self._x = np.array(answer.x) if accepted else np.zeros(self._n)
         self._y = np.array(answer.y) if accepted else np.zeros(self._k)
         return QPResult(info.status, self._x.copy() if accepted else None, int(info.iter), float(info.prim_res))
+
+
+class ProgramSolver(Protocol):
+    """What solves one quadratic program after another; what a solve depends on is in its ``snapshot``."""
+
+    @property
+    def multipliers(self) -> Array:
+        """Lagrange multipliers (k,) of the last accepted solve, zeros before."""
+
+    def snapshot(self) -> QPState:
+        """The state from which ``restore`` goes on."""
+
+    def restore(self, state: QPState) -> None:
+        """Go on from a ``state`` of a program of the same size."""
+
+    def solve(
+        self,
+        q: Array,
+        lower: Array,
+        upper: Array,
+        P: Array | None = None,
+        A: Array | None = None,
+        x0: Array | None = None,
+        y0: Array | None = None,
+    ) -> QPResult:
+        """Solve for q (n,), lower and upper (k,) from x0 (n,), y0 (k,); P (n, n) and A (k, n) replace the values."""
 
 
 @dataclass(frozen=True)

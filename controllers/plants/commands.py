@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
+from pisplit.controllers.loop.history import Line
 from pisplit.controllers.loop.plant import Plant
-from pisplit.controllers.plants.wrapped import Line, WrappedPlant
+from pisplit.controllers.plants.wrapped import WrappedPlant
 from pisplit.data.actuator import Actuator, ActuatorState
 
 

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pisplit.checks import Array, count, finite_array, non_negative, positive
+from pisplit.controllers.loop.history import Line
 from pisplit.controllers.loop.plant import Plant
-from pisplit.controllers.plants.wrapped import Line, WrappedPlant
+from pisplit.controllers.plants.wrapped import WrappedPlant
 
 #: Entries of a rotation matrix, row by row, as rods name them: R_xx[1], R_xy[1], ...
 FRAME = re.compile(r"R_[xyz][xyz]\[(\d+)\]")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, finite_array, non_negative
+from pisplit.checks import Array, finite_array
 from pisplit.controllers.loop.plant import Measurement, Plant, PlantStep
 
 #: What a plant may tell of its columns.
@@ -126,36 +125,3 @@ class WrappedPlant:
 
     def _take(self, own: Any) -> None:
         """Remember what ``_own`` gave."""
-
-
-class Line:
-    """A delay line: values come out ``steps`` samples later, fractions by linear interpolation between samples.
-
-    Args:
-        steps: delay in samples, zero or more.
-        name: what errors call it.
-    """
-
-    def __init__(self, steps: float, name: str) -> None:
-        self.steps = non_negative(steps, name)
-        self._kept: deque[Array] = deque(maxlen=int(self.steps) + 2)
-
-    def fill(self, value: Array) -> None:
-        """Begin with ``value`` at all times."""
-        self._kept.extend([value.copy()] * (self._kept.maxlen or 1))
-
-    def __call__(self, value: Array) -> Array:
-        """The value ``steps`` samples ago, ``value`` being the present one."""
-        self._kept.append(value.copy())
-        whole, part = int(self.steps), self.steps - int(self.steps)
-        later, earlier = self._kept[-1 - whole], self._kept[-2 - whole]
-        return later.copy() if part == 0.0 else (1.0 - part) * later + part * earlier
-
-    def own(self) -> tuple[Array, ...]:
-        """What is on the line."""
-        return tuple(value.copy() for value in self._kept)
-
-    def take(self, own: tuple[Array, ...]) -> None:
-        """Put back what ``own`` gave."""
-        self._kept.clear()
-        self._kept.extend(value.copy() for value in own)

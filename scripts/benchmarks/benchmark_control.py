@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import casadi as ca
 import numpy as np
 from tqdm import tqdm
 
 from common.report import Report
 from pisplit import LiftedModel
-from pisplit.controllers import MPC
+from pisplit.controllers import MPC, QPSettings
 
 COLUMNS = 723
 HORIZON = 20
@@ -20,22 +22,32 @@ REACH = 20.0
 
 def measure_control(report: Report, quick: bool, seed: int) -> None:
     """Track a circle of 0.1 m in 4 s with the model as its own, noisy, plant; limits of the paper's arm."""
-    rng = np.random.default_rng(seed)
-    model = arm_like_model(rng)
-    mpc = MPC(model, HORIZON, u_min=-0.015, u_max=0.015, du_max=0.002, track="tip", rate_weight=0.01)
+    solvers = ["osqp"] + (["daqp"] if find_spec("daqp") else [])
+    model = arm_like_model(np.random.default_rng(seed))
+    for solver in solvers:
+        _measure_solver(report, model, solver, quick, seed)
+
+
+def _measure_solver(report: Report, model: LiftedModel, solver: str, quick: bool, seed: int) -> None:
+    rng = np.random.default_rng([seed, 1])
+    settings = QPSettings(solver=solver)
+    mpc = MPC(model, HORIZON, u_min=-0.015, u_max=0.015, du_max=0.002, track="tip", rate_weight=0.01, qp=settings)
     mpc.reset(np.zeros(3))
     steps = 200 if quick else 1000
     angle = 2.0 * np.pi * DT / 4.0 * np.arange(steps + HORIZON + 1)
     circle = 0.1 * np.stack([np.cos(angle) - 1.0, np.sin(angle), 0.0 * angle], axis=1)
-    state, spent, bad = np.zeros(COLUMNS), [], 0
-    for k in tqdm(range(steps), desc="MPC", unit="step"):
+    state, spent, bad, solved = np.zeros(COLUMNS), [], 0, 0
+    for k in tqdm(range(steps), desc=f"MPC, {solver}", unit="step"):
         move = mpc.step(state, circle[k + 1 : k + 1 + HORIZON])
         spent.append(1e3 * move.cpu_time)
         bad += move.fallback
+        solved += move.status == "solved"
         state = model.A @ state + model.B @ move.u + 1e-4 * rng.standard_normal(COLUMNS)
-    label = f"MPC step, H = {HORIZON}, M = {COLUMNS}"
+    label = f"MPC step, H = {HORIZON}, M = {COLUMNS}, {solver.upper()}"
     report.figure(f"{label}, median", float(np.median(spent)), "ms", ("<=", 1.0))
     report.figure(f"{label}, p99", float(np.percentile(spent, 99)), "ms", ("<=", 2.5))
+    report.figure(f"{label}, maximum after the first", float(np.max(spent[1:])), "ms")
+    report.figure(f"{label}, solved to tolerance", 100.0 * solved / steps, "%", (">=", 100.0))
     report.figure(f"{label}, fallbacks", bad, "")
 
 
