@@ -24,6 +24,7 @@ if _TYPE_CHECKING:
     from pisplit.estimators.bilinear import BilinearEDMDc as BilinearEDMDc
     from pisplit.estimators.edmdc import LinearEDMDc as LinearEDMDc
     from pisplit.estimators.pi import PIEDMDc as PIEDMDc
+    from pisplit.estimators.relifted import ReliftedEDMDc as ReliftedEDMDc
     from pisplit.estimators.streaming import StreamingEDMDc as StreamingEDMDc
     from pisplit.estimators.twin import TwinEDMDc as TwinEDMDc
     from pisplit.evaluation.comparison import Comparison as Comparison
@@ -32,6 +33,8 @@ if _TYPE_CHECKING:
     from pisplit.evaluation.comparison import learning_curve as learning_curve
     from pisplit.evaluation.horizon import HorizonErrors as HorizonErrors
     from pisplit.evaluation.horizon import horizon_errors as horizon_errors
+    from pisplit.evaluation.predicted import PredictedError as PredictedError
+    from pisplit.evaluation.predicted import predicted_error as predicted_error
     from pisplit.evaluation.rollouts import RolloutErrors as RolloutErrors
     from pisplit.evaluation.rollouts import rollout_errors as rollout_errors
     from pisplit.front import Identified as Identified
@@ -68,10 +71,12 @@ _PLACES = {
     "pisplit.estimators.bilinear": "BilinearEDMDc",
     "pisplit.estimators.edmdc": "LinearEDMDc",
     "pisplit.estimators.pi": "PIEDMDc",
+    "pisplit.estimators.relifted": "ReliftedEDMDc",
     "pisplit.estimators.streaming": "StreamingEDMDc",
     "pisplit.estimators.twin": "TwinEDMDc",
     "pisplit.evaluation.comparison": "Comparison LearningCurve compare learning_curve",
     "pisplit.evaluation.horizon": "HorizonErrors horizon_errors",
+    "pisplit.evaluation.predicted": "PredictedError predicted_error",
     "pisplit.evaluation.rollouts": "RolloutErrors rollout_errors",
     "pisplit.front": "Identified identify",
     "pisplit.generator": "HalfStep Spectrum generator_edmd generator_spectrum half_step",
@@ -105,8 +110,10 @@ __all__ = [
     "PIEDMDc",
     "Pairs",
     "PhaseSamples",
+    "PredictedError",
     "RecursiveRegression",
     "Reduction",
+    "ReliftedEDMDc",
     "RestShapes",
     "Rollout",
     "RolloutErrors",
@@ -125,6 +132,7 @@ __all__ = [
     "learning_curve",
     "modes",
     "observables",
+    "predicted_error",
     "references",
     "rollout_errors",
     "rollout_jacobian",

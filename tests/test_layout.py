@@ -23,8 +23,8 @@ PISPLIT = {
     "generator": {"data", "dictionary", "regression"},
     "splitting": {"data", "dictionary", "generator", "regression"},
     "lifted": {"data", "dictionary", "regression"},
-    "evaluation": {"data", "dictionary", "lifted"},
-    "estimators": {"data", "dictionary", "evaluation", "generator", "lifted", "regression", "splitting"},
+    "evaluation": {"data", "lifted"},
+    "estimators": {"data", "dictionary", "evaluation", "generator", "lifted", "observables", "regression", "splitting"},
 }
 CONTROLLERS = {
     "loop": {"references"},

@@ -50,8 +50,9 @@ class KalmanFilter:
         gate: float | None = 5.0,
     ) -> None:
         self.model = found = model_of(model, "model")
-        if found.is_bilinear:
-            raise ValueError("a Kalman filter with one gain is for models linear in z; this one is bilinear")
+        if found.varies:
+            kind = "bilinear" if found.relifted is None else "re-lifted"
+            raise ValueError(f"a Kalman filter with one gain is for models linear in z; this one is {kind}")
         self.measured: NDArray[np.int64] = state_indices(found, measured)
         self.gate = None if gate is None else positive(gate, "gate")
         M = found.n_lifted

@@ -98,10 +98,10 @@ class MPC:
     For models of the plant without these delays: one that was fitted to recordings with them has them inside. The
     ``horizon`` attribute, the samples of the reference that ``step`` takes, grows by what the delay of commands needs.
 
-    A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear model
-    is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model, and on settings
-    that would have no effect. Controllers can be pickled and copied, also between steps: a copy goes on to the last bit
-    as the original would; so does one that was ``restore``d from a ``snapshot``.
+    A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear or
+    re-lifted model is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model,
+    and on settings that would have no effect. Controllers can be pickled and copied, also between steps: a copy goes on
+    to the last bit as the original would; so does one that was ``restore``d from a ``snapshot``.
 
     Source: Rawlings, Mayne and Diehl, Model Predictive Control (2017), chapter 1; Korda and Mezic, Automatica 93
     (2018).
@@ -178,13 +178,15 @@ class MPC:
             )
         limits = self._limits
         self._T = limits.basis * limits.amplitude.mean()
-        self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.is_bilinear else None
+        self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.varies else None
         centre = limits.offset + limits.basis @ limits.coordinates(0.5 * (limits.u_min + limits.u_max))
         if self._along is None:
             S, _ = self._linearise(np.tile(centre, (H, 1)), np.zeros((H, self._T.shape[1])))
         else:
             D = model.n_delays
-            z = model.lift(np.zeros((D + 1, model.n_states)), np.tile(centre, (D, 1)))
+            # Products are fitted to the data's range: z = 0 is their mean in a re-lifted model, where x is d.
+            known = np.zeros(model.n_states) if model.relifted is None else model.d
+            z = model.lift(np.tile(known, (D + 1, 1)), np.tile(centre, (D, 1)))
             S, _ = self._along(z, np.zeros(model.n_lifted), np.tile(centre, (H, 1)))
         self._undelayed = S
         S = self._latency.mixed(S, self._T.shape[1])
@@ -384,13 +386,8 @@ class MPC:
         return S, y_free + y_features
 
     def _products(self, z: Array, u: Array) -> Array | None:
-        """sum_i u_i N_i z (M,) of a bilinear model."""
-        term = self.model.bilinear_term
-        if term is None:
-            return None
-        products = np.zeros(self.model.n_lifted)
-        products[term.rows] = term(z, u)
-        return products
+        """What products of lifted states and inputs add to a step (M,), in a bilinear or re-lifted model."""
+        return self.model.products(z, u) if self.model.varies else None
 
     def _linearise(self, u: Array, v: Array) -> tuple[Array, Array]:
         """S (H p, H r) and the constant part (H p,) of the outputs, for features linearised at u (H, m) = u(v)."""

@@ -1,4 +1,4 @@
-"""L-EDMDc, B-EDMDc, PI-EDMDc, twins and streaming fits: estimators that turn data into a lifted model.
+"""L-EDMDc, B-EDMDc, PI-EDMDc, twins, re-lifted and streaming fits: estimators that turn data into a lifted model.
 
 The search over alpha and the tests of boundedness stand beside them.
 """
@@ -6,6 +6,7 @@ The search over alpha and the tests of boundedness stand beside them.
 from pisplit.estimators.bilinear import BilinearEDMDc
 from pisplit.estimators.edmdc import LinearEDMDc
 from pisplit.estimators.pi import PIEDMDc
+from pisplit.estimators.relifted import ReliftedEDMDc
 from pisplit.estimators.streaming import StreamingEDMDc
 from pisplit.estimators.twin import TwinEDMDc
 
@@ -13,6 +14,7 @@ __all__ = [
     "BilinearEDMDc",
     "LinearEDMDc",
     "PIEDMDc",
+    "ReliftedEDMDc",
     "StreamingEDMDc",
     "TwinEDMDc",
 ]

@@ -65,6 +65,11 @@ class Estimator(Parameters):
     cv_: AlphaSearch | None
     bounded_: bool | None
 
+    @property
+    def n_delays(self) -> int:
+        """Steps of history D that a prediction starts from."""
+        return self.theta.n_delays
+
     def predict(self, history: Any, inputs: ArrayLike) -> Array:
         """States x_hat (T+1, n) under inputs (T, m), starting from the history.
 

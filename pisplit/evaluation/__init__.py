@@ -1,19 +1,22 @@
-"""How good a model is: roll-out errors, errors by horizon, comparisons and learning curves.
+"""How good a model is: roll-out errors, errors by horizon, predicted errors, comparisons and learning curves.
 
 Errors are those of open-loop roll-outs on recordings the model has not seen.
 """
 
 from pisplit.evaluation.comparison import Comparison, LearningCurve, compare, learning_curve
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
+from pisplit.evaluation.predicted import PredictedError, predicted_error
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
 
 __all__ = [
     "Comparison",
     "HorizonErrors",
     "LearningCurve",
+    "PredictedError",
     "RolloutErrors",
     "compare",
     "horizon_errors",
     "learning_curve",
+    "predicted_error",
     "rollout_errors",
 ]

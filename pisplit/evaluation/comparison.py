@@ -14,7 +14,6 @@ from pisplit.checks import count
 from pisplit.data.episodes import Episodes
 from pisplit.data.pairs import Pairs
 from pisplit.data.phase import PhaseSamples
-from pisplit.dictionary.dictionary import Dictionary
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
 from pisplit.evaluation.matching import States, model_of
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
@@ -27,11 +26,11 @@ MORE = {"d2": "phase samples", "twin": "episodes of a twin"}
 
 
 class Estimator(Protocol):
-    """What is compared: an estimator with a dictionary, parameters and, once fitted, a lifted model."""
+    """What is compared: an estimator with parameters and, once fitted, a lifted model."""
 
     @property
-    def theta(self) -> Dictionary:
-        """The dictionary it was made with."""
+    def n_delays(self) -> int:
+        """Steps of history that it needs."""
 
     @property
     def lifted(self) -> LiftedModel:
@@ -166,7 +165,7 @@ def learning_curve(
 ) -> LearningCurve:
     """Fit a fresh copy of every estimator to ``sizes`` pairs drawn from d1 with each of ``seeds``; errors on ``test``.
 
-    estimators  by name: any with ``theta``, ``get_params`` and ``fit(d1, ..., pairs=...)``
+    estimators  by name: any with ``n_delays``, ``get_params`` and ``fit(d1, ..., pairs=...)``
     d1, test    training episodes, and those that are rolled out: columns are matched by name
     sizes       numbers of pairs
     seeds       of the draws; estimators of one number of delays see the same pairs
@@ -184,7 +183,7 @@ def learning_curve(
     diverged = {name: np.ones(shape) for name in estimators}
     refusals: list[tuple[str, int, int, str]] = []
     for name, estimator in estimators.items():
-        pairs = d1.pairs(estimator.theta.n_delays)
+        pairs = d1.pairs(estimator.n_delays)
         for i, size in enumerate(chosen):
             for j, seed in enumerate(draws):
                 drawn = pairs.sample(size, seed)

@@ -13,13 +13,17 @@ from numpy.typing import NDArray
 
 from pisplit.files import write_text
 from pisplit.lifted.model import LiftedModel
-from pisplit.lifted.modes import refuse_bilinear
+from pisplit.lifted.modes import refuse_bilinear, refuse_relifted
 
 Array = NDArray[np.float64]
 
 
 def to_numpy(model: LiftedModel) -> dict[str, Any]:
-    """A, B, c, C, d (and N of a bilinear model), dt, names and units as arrays, numbers and lists of text (copies)."""
+    """A, B, c, C, d (and N of a bilinear ``model``), dt, names and units as arrays, numbers and lists of text (copies).
+
+    Raises ValueError for a re-lifted model, whose products these do not hold: ``model.save`` does.
+    """
+    refuse_relifted(model, "complete list of matrices")
     arrays = {name: np.array(getattr(model, name)) for name in ("A", "B", "c", "C", "d", "state_range")}
     arrays |= {} if model.N is None else {"N": np.array(model.N)}
     names = ("state_names", "input_names", "column_names", "feature_names", "state_units", "input_units")
@@ -99,10 +103,12 @@ def to_c_header(model: LiftedModel, path: str | os.PathLike[str], name: str = "m
         void name_read(const double *z, double *x);
 
     Histories hold one time after another, oldest first; z_next must not be z.
-    Raises ValueError if the name is no C identifier, the folder is missing, or a function cannot be written in C.
+    Raises ValueError for a re-lifted model, if the name is no C identifier, the folder is missing, or a function cannot
+    be written in C.
     """
     if not re.fullmatch(r"[A-Za-z]\w*", name):
         raise ValueError(f"name = {name!r}; expected a C identifier")
+    refuse_relifted(model, "C form")
     write_text(path, _header(model, name))
 
 

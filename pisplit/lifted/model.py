@@ -19,6 +19,7 @@ from pisplit.data import store
 from pisplit.data.columns import in_order
 from pisplit.data.rows import frozen, refrozen
 from pisplit.dictionary.products import BilinearTerm, Transition, runs, span
+from pisplit.lifted.relifting import ReliftedTerm
 from pisplit.mapping import Mapped
 
 Array = NDArray[np.float64]
@@ -45,10 +46,10 @@ class Rollout:
 
 @dataclass(frozen=True, eq=False)
 class LiftedModel:
-    """z+ = A z + B phi(u) + sum_i u_i N_i z + c,  y = C z + d, in physical units.
+    """z+ = A z + B phi(u) + sum_i u_i N_i z + c (+ g(z, u)),  y = C z + d, in physical units.
 
     A (M, M), B (M, P), c (M,), C (n, M), d (n,), dt [s]; N (m, M, M), or None for a model linear in z: nothing is
-    stored or computed then.
+    stored or computed then. ``relifted``: g(z, u), products that are evaluated anew at every step, or None.
     ``lift_function``: (x_history (n, D+1), u_history (m, D)) -> z (M,), columns are times, oldest first; x_history
     holds x_{k-D}..x_k and u_history u_{k-D}..u_{k-1} with D = ``n_delays``.
     ``input_function``: u (m,) -> phi (P,), the identity if the dictionary is linear in u.
@@ -85,6 +86,7 @@ class LiftedModel:
     N: Array | None = None
     state_units: Sequence[str] | None = None
     input_units: Sequence[str] | None = None
+    relifted: ReliftedTerm | None = None
 
     def __post_init__(self) -> None:
         n, m = len(self.state_names), len(self.input_names)
@@ -104,6 +106,10 @@ class LiftedModel:
             object.__setattr__(self, name, frozen(finite_array(getattr(self, name), name, shape)))
         if self.N is not None:
             object.__setattr__(self, "N", frozen(finite_array(self.N, "N", (m, columns, columns))))
+        if self.relifted is not None:
+            given = len(self.relifted.weights), self.relifted.basis.shape[1]
+            if given != (columns, columns + m):
+                raise ValueError(f"relifted is of {given} rows and variables; expected {(columns, columns + m)}")
         for name, size in (("state_units", n), ("input_units", m)):
             object.__setattr__(self, name, _units(getattr(self, name), name, size))
         positive(self.dt, "dt", "s")
@@ -148,10 +154,15 @@ class LiftedModel:
         """True if products of inputs and lifted states act, N is not None."""
         return self.N is not None
 
+    @property
+    def varies(self) -> bool:
+        """True if what an input does depends on the lifted state: bilinear and re-lifted models."""
+        return self.is_bilinear or self.relifted is not None
+
     @cached_property
     def linear_in_u(self) -> bool:
         """True if phi(u) = u and the model is not bilinear."""
-        if self.is_bilinear or self.n_features != self.n_inputs:
+        if self.varies or self.n_features != self.n_inputs:
             return False
         rng = np.random.default_rng(0)
         probe = rng.standard_normal((8, self.n_inputs)) * np.logspace(-3, 3, 8)[:, None]
@@ -192,20 +203,44 @@ class LiftedModel:
         """One step z (M,) -> z+ (M,) under the input u (m,) (eq. update_rule)."""
         state, inputs = finite_array(z, "z", (self.n_lifted,)), self._input(u)
         following = self.A @ state + self.B @ self.features(inputs[None, :])[0] + self.c
+        return np.asarray(following + self.products(state, inputs) if self.varies else following)
+
+    def products(self, z: ArrayLike, u: ArrayLike) -> Array:
+        """sum_i u_i N_i z + g(z, u) (M,): what a step adds to A z + B phi(u) + c, at z (M,) under u (m,)."""
+        state, inputs = real_array(z, "z"), real_array(u, "u")
+        found = np.zeros(self.n_lifted)
         if self.bilinear_term is not None:
-            following[self.bilinear_term.rows] += self.bilinear_term(state, inputs)
-        return np.asarray(following)
+            found[self.bilinear_term.rows] += self.bilinear_term(state, inputs)
+        return found if self.relifted is None else found + self.relifted(state, inputs)
+
+    def jacobian(self, z: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
+        """Derivatives of one step: dz+/dz (M, M) and dz+/du (M, m), at z (M,) under u (m,).
+
+        Raises ValueError for other shapes and entries that are not finite.
+        """
+        state, inputs = finite_array(z, "z", (self.n_lifted,)), self._input(u)
+        by_state = self.A if self.N is None else self.A + np.tensordot(inputs, self.N, axes=1)
+        by_input = self.B @ self.feature_jacobian(inputs[None, :])[0]
+        if self.N is not None:
+            by_input = by_input + (self.N @ state).T
+        if self.relifted is None:
+            return np.array(by_state), by_input
+        more = self.relifted.jacobian(state, inputs)
+        return by_state + more[0], by_input + more[1]
 
     def transition(self, u: ArrayLike) -> Array:
-        """A + sum_i u_i N_i (M, M) under the input u (m,)."""
+        """A + sum_i u_i N_i (M, M) under the input u (m,). Raises ValueError for a re-lifted model."""
+        self._refuse_relifted("one transition for all states; use jacobian(z, u)")
         inputs = self._input(u)
         return self.A.copy() if self.N is None else self.A + np.tensordot(inputs, self.N, axes=1)
 
     def fixed_point(self, u: ArrayLike) -> Array:
         """Lifted state z (M,) with z+ = z under the constant input u (m,); ``read(z)`` are the states.
 
-        The column "1" has its value 1. Raises ValueError where there is no fixed point, or a whole line of them.
+        The column "1" has its value 1. Raises ValueError where there is no fixed point, or a whole line of them, and
+        for a re-lifted model, which may have several.
         """
+        self._refuse_relifted("a single fixed point; roll it out under the constant input")
         inputs = self._input(u)
         forcing = self.B @ self.features(inputs[None, :])[0] + self.c
         matrix = np.eye(self.n_lifted) - self.transition(inputs)
@@ -248,6 +283,10 @@ class LiftedModel:
         """
         return self.rollout(self.lift(x_history, u_history), inputs)
 
+    def _refuse_relifted(self, what: str) -> None:
+        if self.relifted is not None:
+            raise ValueError(f"the model is re-lifted: its step is not linear in z and has not {what}")
+
     def _inputs(self, inputs: ArrayLike) -> Array:
         """Inputs (N, m), columns that have names in the model's order."""
         return finite_array(in_order(inputs, self.input_names, "inputs"), "U", (None, self.n_inputs))
@@ -263,6 +302,9 @@ class LiftedModel:
                 file[name] = getattr(self, name)
             if self.N is not None:
                 file["N"] = self.N
+            if self.relifted is not None:
+                for item in fields(self.relifted):
+                    file[f"relifted/{item.name}"] = getattr(self.relifted, item.name)
             for name in _FUNCTIONS:
                 store.write_function(file, name, getattr(self, name))
             for name in (*_NAMES, *_UNITS):
@@ -281,6 +323,9 @@ class LiftedModel:
             parts |= {name: store.read_strings(file, name) for name in _NAMES}
             parts |= {name: store.read_strings(file, name) for name in _UNITS if name in file}
             parts["N"] = np.asarray(file["N"][()]) if "N" in file else None
+            if "relifted" in file:
+                arrays = {item.name: np.asarray(file[f"relifted/{item.name}"][()]) for item in fields(ReliftedTerm)}
+                parts["relifted"] = ReliftedTerm(**arrays)
             return cls(
                 **parts,
                 dt=float(file.attrs["dt"]),
@@ -336,7 +381,9 @@ class LiftedModel:
         for driven in runs(np.flatnonzero(self.B.any(axis=1))):  # delays are not
             z[1:, :, driven] += (features @ self.B[driven].T).transpose(1, 0, 2)
         with np.errstate(over="ignore", invalid="ignore"):
-            if self.bilinear_term is not None:
+            if self.relifted is not None:
+                _propagate_relifted(self, z, inputs)
+            elif self.bilinear_term is not None:
                 _propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
             else:
                 _propagate(self._transition, z)
@@ -375,6 +422,16 @@ def _propagate_bilinear(transition: Transition, term: BilinearTerm, z: Array, in
     for k in range(len(z) - 1):
         transition.add(z[k], z[k + 1])
         z[k + 1][:, term.rows] += term(z[k], inputs[:, k])
+
+
+def _propagate_relifted(model: LiftedModel, z: Array, inputs: Array) -> None:
+    """z_{k+1} += A z_k + sum_i u_i N_i z_k + g(z_k, u_k) for E episodes; z (T+1, E, M) holds the forcing on entry."""
+    term, bilinear = model.relifted, model.bilinear_term
+    assert term is not None
+    for k in range(len(z) - 1):
+        z[k + 1] += z[k] @ model.A.T + term(z[k], inputs[:, k])
+        if bilinear is not None:
+            z[k + 1][:, bilinear.rows] += bilinear(z[k], inputs[:, k])
 
 
 def _units(given: Sequence[str] | None, what: str, size: int) -> tuple[str, ...]:

@@ -46,8 +46,9 @@ def modes(model: LiftedModel) -> Modes:
     """Koopman eigenvalues, eigenfunctions and modes of a model (Mezic, Spectral properties of dynamical systems, 2005).
 
     Of a bilinear model they are those at u = 0. If A is defective the eigenfunctions are those of a pseudo-inverse and
-    ``condition`` is huge.
+    ``condition`` is huge. Raises ValueError for a re-lifted model, whose A is a part of its step only.
     """
+    refuse_relifted(model, "spectrum for all states")
     values, vectors = np.linalg.eig(model.A)
     order = np.lexsort((-values.imag, -np.abs(values)))
     values, vectors = values[order].astype(np.complex128), vectors[:, order].astype(np.complex128)
@@ -69,6 +70,13 @@ def modes(model: LiftedModel) -> Modes:
 
 
 def refuse_bilinear(model: LiftedModel, what: str) -> None:
-    """Raises ValueError for a bilinear ``model``; ``what`` is what only linear ones have, for the message."""
-    if model.is_bilinear:
-        raise ValueError(f"the model is bilinear; {what} needs one that is linear in the lifted state and the features")
+    """Raises ValueError, with ``what`` only linear ones have in its line, for a bilinear or re-lifted ``model``."""
+    if model.varies:
+        kind = "bilinear" if model.relifted is None else "re-lifted"
+        raise ValueError(f"the model is {kind}; {what} needs one that is linear in the lifted state and the features")
+
+
+def refuse_relifted(model: LiftedModel, what: str) -> None:
+    """Raises ValueError for a re-lifted ``model``; ``what`` is what it does not have, for the message."""
+    if model.relifted is not None:
+        raise ValueError(f"the model is re-lifted: its step is not linear in z, and it has no {what}")

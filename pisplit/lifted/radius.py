@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pisplit.checks import positive
 from pisplit.lifted.model import LiftedModel
+from pisplit.lifted.modes import refuse_relifted
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,9 @@ def stabilised(model: LiftedModel, bound: float = 1.0) -> LiftedModel:
     """The model with the spectral radius of A limited to ``bound``.
 
     Rows that only shift (constants, delays) are part of A and change with it where they take part in a mode that is
-    moved; predictions of slower modes stay.
+    moved; predictions of slower modes stay. Raises ValueError for a re-lifted model: its A is a part of its step only.
     """
+    refuse_relifted(model, "spectral radius that A alone decides")
     return replace(
         model, A=limited_radius(model.A, bound), provenance={**model.provenance, "spectral_radius_bound": bound}
     )

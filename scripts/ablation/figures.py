@@ -28,6 +28,7 @@ COLOURS = {
     "B-EDMDc, rod + x_eq": "navajowhite",
     "PI Strang, rod + x_eq": "black",
     "PI balanced": "tab:gray",
+    "re-lifted": "tab:purple",
 }
 MARKERS = {"bounded": "v", "one recording": "^", "no pairs": "*", "tendons from pairs": "D"}
 LABELS = {"shape": "squared shape error (m$^2$)", "velocity": "squared tip velocity error (m$^2$/s$^2$)"}

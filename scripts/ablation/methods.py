@@ -14,11 +14,11 @@ from ablation.scenarios import STATIONS, excitation, scenarios
 from ablation.shared import best, compact, quietly
 from ablation.twin import TWIN_EPISODES, TwinMethod
 from common.protocol import Draw, Lifted, Method, Prediction, Predictor, contiguous
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc, ReliftedEDMDc
 from pisplit import observables as ob
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.static_table import EquilibriumTable, equilibrium_table
-from pisplit.models.arm.twin import SLACK_WIDTH
+from pisplit.models.arm.twin import OMIT, SLACK_WIDTH
 
 #: Half width in m of the table of equilibria, in usual displacements.
 TABLE_WIDTH = 2.2
@@ -36,6 +36,7 @@ def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str,
         "B-EDMDc": Tuned(BilinearEDMDc, bilinear_dictionaries),
         "L-EDMDc, bounded": Tuned(LinearEDMDc, linear_dictionaries, bounded=True),
         "B-EDMDc, bounded": Tuned(BilinearEDMDc, bilinear_dictionaries, bounded=True),
+        "re-lifted": relifted,
         "L-EDMDc, rod + x_eq": InRodCoordinates(LinearEDMDc, seed),
         "B-EDMDc, rod + x_eq": InRodCoordinates(BilinearEDMDc, seed),
         "PI Strang, rod + x_eq": Splitting("strang", seed),
@@ -98,6 +99,13 @@ class Tuned:
             for theta in self.dictionaries(small)
         ]
         return Lifted(best(fits).lifted)
+
+
+def relifted(draw: Draw) -> Predictor:
+    """Principal coordinates and their products, evaluated anew at each step: data alone."""
+    small = compact(draw)
+    estimator = ReliftedEDMDc(cv_states="shape", omit=OMIT)
+    return Lifted(quietly(estimator.fit, small.episodes, small.pairs(1), excitation(draw.law)).lifted)
 
 
 @dataclass(frozen=True)

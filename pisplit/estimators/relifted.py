@@ -1,0 +1,292 @@
+"""EDMDc whose dictionary is evaluated anew at every step: data alone, and the stronger baseline where they are many."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit import observables as ob
+from pisplit.checks import count, non_negative
+from pisplit.data.episodes import Episodes, Pairs
+from pisplit.dictionary.dictionary import Dictionary
+from pisplit.estimators.alpha_search import hold_out, state_weights
+from pisplit.estimators.base import Estimator
+from pisplit.estimators.boundedness import Excitation
+from pisplit.estimators.relifted_coordinates import Coordinates, product_table
+from pisplit.evaluation.rollouts import rollout_errors
+from pisplit.lifted.model import LiftedModel
+from pisplit.lifted.operators import excited_inputs, state_range
+from pisplit.lifted.relifting import ReliftedTerm
+
+Array = NDArray[np.float64]
+
+#: Ridges to choose from, relative to the mean diagonal of the Gram matrix.
+RIDGES = tuple(np.logspace(-12, 0, 9).tolist())
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Numbers of ``components``, of ``leading`` ones in products, ``degree`` of these, and ridge ``alpha``."""
+
+    components: int
+    leading: int
+    degree: int
+    alpha: float
+
+
+@dataclass(frozen=True)
+class StructureSearch:
+    """What was tried on roll-outs of held-out recordings.
+
+    tried      structures, the best first
+    errors     (G,) their median squared errors in scaled states
+    chosen     the first that stays bounded, or the first of all
+    held_out   numbers of the episodes that were held out
+    bounded    whether the choice stays bounded under the excitation; None if nobody asked
+    """
+
+    tried: tuple[Structure, ...]
+    errors: Array
+    chosen: Structure
+    held_out: tuple[int, ...]
+    bounded: bool | None
+
+    @property
+    def error(self) -> float:
+        """Error of the choice."""
+        return float(self.errors[self.tried.index(self.chosen)])
+
+
+class ReliftedEDMDc(Estimator):
+    """c+ = c + K Theta(c, (u + u_prev)/2, u - u_prev): states are predicted, and Theta is evaluated anew at each step.
+
+    c are principal components of the states, x is read from them. Theta holds a constant, c, the mean input and its
+    change (inputs are taken to be ramps from the last command to the coming one), products of the leading components
+    and of these, and the other components times the inputs. A lift that is propagated by a matrix must be closed under
+    the dynamics to stay what it is; a re-lifted one is only asked for the next state. The price is a step that is not
+    linear: MPC linearises it along its plan, once a move.
+
+    components  numbers of principal components to choose from
+    leading     numbers of leading components whose products are columns, to choose from
+    degrees     of these products, to choose from, 1 to 3
+    alphas      ridges to choose from, relative to the mean diagonal of the Gram matrix, 1e-12 to 1 if not given; the
+                increment c+ - c is shrunk
+    cv_states   states (output group, names or indices) whose roll-out error chooses; default all
+    omit        quantities of states that do not shape the components, but are read from them
+
+    What is chosen is the best on roll-outs of held-out training recordings, of those that stay bounded under the
+    excitation. After ``fit``: ``lifted`` (a LiftedModel with ``relifted``; its lifted state is c and the last input),
+    ``search_`` (StructureSearch), ``bounded_``. Raises ValueError for options that can be nothing of their kind.
+
+    Source: Korda and Mezic, Automatica 93 (2018), for the lift; evaluated anew it is a polynomial NARX model (Billings,
+    Nonlinear System Identification, 2013) in principal coordinates.
+    """
+
+    def __init__(
+        self,
+        components: Sequence[int] = (6, 10, 16, 24),
+        leading: Sequence[int] = (0, 4, 8),
+        degrees: Sequence[int] = (2, 3),
+        alphas: Sequence[float] | None = None,
+        cv_states: str | Sequence[int] | Sequence[str] | None = None,
+        omit: Sequence[str] = (),
+    ) -> None:
+        _each(components, "components", 1)
+        _each(leading, "leading", 0)
+        if max(_each(degrees, "degrees", 1)) > 3:
+            raise ValueError(f"degrees = {list(degrees)}; expected numbers from 1 to 3")
+        if isinstance(alphas, str) or (alphas is not None and not (np.iterable(alphas) and len(list(alphas)))):
+            raise ValueError(f"alphas = {alphas!r}; expected numbers to choose from, at least one")
+        for i, value in enumerate(alphas or ()):
+            non_negative(value, f"alphas[{i}]")
+        self.components = components
+        self.leading = leading
+        self.degrees = degrees
+        self.alphas = alphas
+        self.cv_states = cv_states
+        self.omit = omit
+
+    @property
+    def n_delays(self) -> int:
+        """Steps of history a prediction starts from: one, the last input."""
+        return 1
+
+    def fit(self, d1: Episodes, pairs: Pairs | None = None, excitation: ArrayLike | None = None) -> ReliftedEDMDc:
+        """Choose and fit on all pairs of the episodes ``d1``, or on ``pairs`` drawn from them. Returns itself.
+
+        ``excitation`` (E, T, m): input sequences that the model has to stay bounded under
+        (:class:`pisplit.estimators.boundedness.Excitation`). Warns if no structure that was tried stays bounded.
+        Raises ValueError for data of which no recording can be held out, and if every structure diverges on those.
+        """
+        if not isinstance(d1, Episodes):
+            raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
+        all_of = d1.pairs(1) if pairs is None else d1.checked_pairs(pairs, 1)
+        theta = _dictionary(d1)
+        if set(self.omit) - set(theta.names.quantities):
+            raise ValueError(f"omit = {list(self.omit)}; expected quantities of {sorted(set(theta.names.quantities))}")
+        training, held, numbers = hold_out(d1, all_of, 1)
+        found: list[tuple[float, Structure, LiftedModel]] = []
+        weights = state_weights(theta, all_of)
+        for structure, model in self._models(d1, training, theta, self._structures(len(training))):
+            error = rollout_errors(model, held, self.cv_states, weights).median
+            found.append((error, structure, model))
+        found.sort(key=lambda entry: entry[0])
+        if not found or not np.isfinite(found[0][0]):
+            raise ValueError(
+                f"all {len(found)} structures diverge on held-out recordings; give more data or components"
+            )
+        survive = None
+        if excitation is not None:
+            survive = Excitation.of(excitation, [all_of, held.pairs(1)], theta.names.quantities)
+        self._keep_best(d1, all_of, theta, found, numbers, survive, training is all_of)
+        return self
+
+    def _keep_best(
+        self,
+        d1: Episodes,
+        pairs: Pairs,
+        theta: Dictionary,
+        found: list[tuple[float, Structure, LiftedModel]],
+        numbers: tuple[int, ...],
+        survive: Excitation | None,
+        final: bool,
+    ) -> None:
+        """The best of ``found`` that survives, fitted to all ``pairs`` (``final``: they are all it was fitted to)."""
+        chosen: tuple[Structure, LiftedModel] | None = None
+        for error, structure, model in found:
+            if not np.isfinite(error):
+                break
+            whole = model if final else next(self._models(d1, pairs, theta, [structure]))[1]
+            if survive is None or survive.bounds(whole):
+                chosen = structure, whole
+                break
+        bounded = None if survive is None else chosen is not None
+        if chosen is None:
+            structure = found[0][1]
+            chosen = structure, next(self._models(d1, pairs, theta, [structure]))[1]
+            warnings.warn(
+                "no structure that was tried stays bounded under the excitation; give more data", stacklevel=3
+            )
+        errors = np.array([error for error, _, _ in found])
+        self.search_ = StructureSearch(tuple(s for _, s, _ in found), errors, chosen[0], numbers, bounded)
+        self.lifted, self.theta_, self.bounded_ = chosen[1], theta, bounded
+
+    def _structures(self, pairs: int) -> list[Structure]:
+        """What is tried with so many ``pairs``."""
+        seen: list[Structure] = []
+        ridges = RIDGES if self.alphas is None else self.alphas
+        for r in sorted({min(r, 2 * pairs) for r in map(int, self.components)}):
+            for p in sorted({min(int(p), r) for p in self.leading}):
+                for degree in sorted(set(map(int, self.degrees))):
+                    seen += [Structure(r, p, degree, float(alpha)) for alpha in ridges]
+        return seen
+
+    def _models(
+        self, d1: Episodes, pairs: Pairs, theta: Dictionary, structures: Sequence[Structure]
+    ) -> Iterator[tuple[Structure, LiftedModel]]:
+        """Models of the ``structures`` fitted to ``pairs``; those that differ in the ridge share a factorisation."""
+        shape, solve = None, None
+        for s in structures:
+            if shape is None or shape[0].sizes[0] != s.components or shape[1:] != (s.leading, s.degree):
+                coordinates = Coordinates.of(pairs, theta.names.quantities, self.omit, s.components)
+                solve = _Regression(coordinates, pairs, s.leading, s.degree)
+                shape = coordinates, s.leading, s.degree
+            assert solve is not None
+            yield s, solve.model(s, d1, pairs, theta)
+
+
+class _Regression:
+    """Ridge regression of c+ - c on [1, c, mean input, change, products], for any ridge."""
+
+    def __init__(self, coordinates: Coordinates, pairs: Pairs, leading: int, degree: int) -> None:
+        self.coordinates = coordinates
+        r, q, m = coordinates.sizes
+        self.factors = product_table(r, 2 * q, min(leading, r), degree)
+        basis, offset = coordinates.variables
+        self.term = ReliftedTerm(basis, offset, self.factors, np.zeros((r + m, len(self.factors))))
+        c, after = ((x - coordinates.mean) @ coordinates.encode.T for x in (pairs.x, pairs.x_next))
+        z = np.hstack([c, pairs.u_history[:, 0]])
+        v = np.hstack([z, pairs.u]) @ basis.T + offset
+        design, target = np.hstack([v, self.term.products(z, pairs.u)]), after - c
+        self.centre, self.target_mean = design.mean(axis=0), target.mean(axis=0)
+        joined = np.hstack([design - self.centre, target - self.target_mean])
+        triangle = np.asarray(np.linalg.qr(joined, mode="r"))
+        width = design.shape[1]
+        u, self.s, self.vt = np.linalg.svd(triangle[:, :width], full_matrices=False)
+        self.projected = u.T @ triangle[:, width:]
+
+    def model(self, structure: Structure, d1: Episodes, pairs: Pairs, theta: Dictionary) -> LiftedModel:
+        """The model with the ridge of the ``structure``."""
+        coordinates, s = self.coordinates, self.s
+        r, _, m = coordinates.sizes
+        alpha = structure.alpha * float((s**2).sum()) / self.vt.shape[1]
+        gain = np.divide(s, s**2 + alpha, out=np.zeros_like(s), where=s > 1e-14 * s.max(initial=0.0))
+        k = (self.vt.T * gain) @ self.projected
+        one = self.target_mean - self.centre @ k
+        basis, offset = coordinates.variables
+        linear = np.asarray(k[: len(basis)].T @ basis, dtype=np.float64)
+        a: Array = np.zeros((r + m, r + m))
+        b: Array = np.zeros((r + m, m))
+        c: Array = np.zeros(r + m)
+        a[:r] = np.eye(r, r + m) + linear[:, : r + m]
+        b[:r], b[r:] = linear[:, r + m :], np.eye(m)
+        c[:r] = one + k[: len(basis)].T @ offset
+        weights = np.vstack([k[len(basis) :].T, np.zeros((m, len(self.factors)))])
+        directions = excited_inputs(pairs, d1.input_units)
+        provenance = {
+            "estimator": "ReliftedEDMDc",
+            "structure": dict(vars(structure)),
+            "pairs": len(pairs),
+            "data": dict(d1.provenance or {}),
+            "input_directions": list(directions.lines(theta.names.inputs)),
+        }
+        columns = (*(f"c{i + 1}" for i in range(r)), *(f"{name}[k-1]" for name in theta.names.inputs))
+        u = ca.SX.sym("u", m)
+        return LiftedModel(
+            A=a,
+            B=b,
+            c=c,
+            C=np.ascontiguousarray(np.hstack([coordinates.decode, np.zeros((len(coordinates.mean), m))])),
+            d=coordinates.mean,
+            dt=d1.dt,
+            lift_function=_lift(coordinates),
+            input_function=ca.Function("features", [u], [u]),
+            n_delays=1,
+            state_names=theta.names.states,
+            input_names=theta.names.inputs,
+            column_names=columns,
+            feature_names=theta.names.inputs,
+            input_offset=directions.offset,
+            input_basis=directions.basis,
+            state_range=state_range(pairs, theta.names.quantities),
+            outputs={name: tuple(group) for name, group in (d1.outputs or {}).items()},
+            provenance=provenance,
+            state_units=d1.units,
+            input_units=d1.input_units,
+            relifted=ReliftedTerm(self.term.basis, self.term.offset, self.factors, weights),
+        )
+
+
+def _lift(coordinates: Coordinates) -> ca.Function:
+    """(x_{k-1}, x_k), u_{k-1} -> (c, u_{k-1})."""
+    _, _, m = coordinates.sizes
+    x, u = ca.MX.sym("x", len(coordinates.mean), 2), ca.MX.sym("u", m, 1)
+    c = ca.DM(coordinates.encode) @ (x[:, 1] - ca.DM(coordinates.mean))
+    return ca.Function("lift", [x, u], [ca.densify(ca.vertcat(c, u))])
+
+
+def _dictionary(d1: Episodes) -> Dictionary:
+    """States, inputs and the last input, with the names of the data: what histories and names are checked with."""
+    terms = (ob.Constant(), ob.States(), ob.Inputs(), ob.Delays(inputs=1))
+    return Dictionary(*terms, n_states=d1.n_states, n_inputs=d1.n_inputs).named_after(d1)
+
+
+def _each(values: Sequence[int], name: str, minimum: int) -> list[int]:
+    if isinstance(values, str) or not np.iterable(values) or not len(list(values)):
+        raise ValueError(f"{name} = {values!r}; expected numbers to choose from, at least one")
+    return [count(value, f"{name}[{i}]", minimum) for i, value in enumerate(values)]

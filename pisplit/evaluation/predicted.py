@@ -1,0 +1,160 @@
+"""How wrong a model will be where nobody recorded: its own residuals, fed back along roll-outs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pisplit.checks import count, finite_array
+from pisplit.data.episodes import Episodes, Pairs
+from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
+from pisplit.evaluation.rollouts import squared_unit
+from pisplit.lifted.model import LiftedModel
+
+Array = NDArray[np.float64]
+
+#: The largest number of pairs that residuals are taken from, spread over all of them.
+MOST = 2000
+#: Roll-outs where no commands are given.
+ROLLOUTS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedError:
+    """Squared distances of disturbed roll-outs from those of the model, summed over the chosen states.
+
+    squared  (E, T) by roll-out and step; infinite from the step of divergence on
+    dt       step in s
+    unit     of ``squared``: "m^2"; "" where it is not known, or not one
+    """
+
+    squared: Array
+    dt: float
+    unit: str = ""
+
+    @property
+    def median(self) -> float:
+        """Median over all steps of all roll-outs, to be held against ``RolloutErrors.median``."""
+        return float(np.quantile(self.squared, 0.5, method="lower"))
+
+    @property
+    def by_horizon(self) -> Array:
+        """Median (T,) over the roll-outs, 1 to T steps ahead."""
+        return np.asarray(np.quantile(self.squared, 0.5, axis=0, method="lower"))
+
+    def __str__(self) -> str:
+        steps = sorted({1, max(1, self.squared.shape[1] // 10), self.squared.shape[1]})
+        unit = f" {self.unit}" if self.unit else ""
+        ahead = ", ".join(f"{self.by_horizon[h - 1]:.3g}{unit} after {h * self.dt:.3g} s" for h in steps)
+        return f"predicted squared error {self.median:.3g}{unit} ({ahead})"
+
+
+def predicted_error(
+    model: LiftedModel | Fitted,
+    episodes: Episodes,
+    excitation: ArrayLike | None = None,
+    states: States = None,
+    pairs: Pairs | None = None,
+) -> PredictedError:
+    """Errors of roll-outs of a ``model`` under commands that nobody recorded, estimated from recorded pairs alone.
+
+    Two roll-outs are made under each command sequence: the model's own, and one to which at every step what the model
+    missed in the nearest recorded pair is added. Their distance estimates the error: residuals that point the same way
+    along the motion add up as they would on the robot, others cancel.
+
+    episodes    recordings, columns matched by name: best those that the model did not learn from. On its own training
+                pairs a model misses less than elsewhere, and the estimate is too small by as much
+    excitation  (E, T, m) commands; the recorded ones, backwards in time, if not given: amplitudes and rates of the
+                data, and another motion
+    states      output group, names or indices whose distances count (default: all)
+    pairs       of the ``episodes`` from which residuals are taken; all of them (at most 2000, spread) if not given
+
+    Nearness is that of states and of the last and the coming input, both scaled to equal spread. Raises ValueError for
+    episodes of other names, units, sizes or time step, or shorter than the model's delays, for pairs of other data, and
+    for excitations of another shape.
+
+    Source: the parametric bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap, 1993), with residuals
+    that depend on the state, as in the nearest-neighbour bootstrap of time series (Lall and Sharma, Water Resources
+    Research 32, 1996).
+    """
+    model = model_of(model)
+    found = matched(model, episodes, states)
+    chosen, delays = state_indices(model, states), model.n_delays
+    known = found.pairs(delays) if pairs is None else found.checked_pairs(pairs, delays)
+    if len(known) > MOST:
+        known = known.take(np.linspace(0, len(known) - 1, MOST).astype(np.int64))
+    z0, commands, before = _starts(model, found, known, excitation)
+    nearest = _Nearest(model, known)
+    nominal = model.rollout(z0, commands)
+    z, last, squared = z0, before, np.full(commands.shape[:2], np.inf)
+    ok = np.ones(len(z0), dtype=bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(commands.shape[1]):
+            u = commands[:, k]
+            following = model.rollout(z[ok], u[ok, None])
+            miss = nearest.residual(model.read(z[ok]), last[ok], u[ok])
+            z = z.copy()
+            z[ok] = following.z[:, 1] + miss
+            going = np.asarray(following.diverged_at) < 0
+            at = np.asarray(nominal.diverged_at)[ok]
+            ok[ok] = going & ((at < 0) | (at > k + 1))
+            distance = (model.read(z[ok]) - nominal.x[ok, k + 1])[:, chosen]
+            squared[ok, k] = (distance**2).sum(axis=1)
+            last = u
+            if not ok.any():
+                break
+    return PredictedError(squared, model.dt, squared_unit([model.units[i] for i in chosen]))
+
+
+def _starts(
+    model: LiftedModel, episodes: Episodes, pairs: Pairs, excitation: ArrayLike | None
+) -> tuple[Array, Array, Array]:
+    """Lifted states (E, M), commands (E, T, m) and the commands before them (E, m)."""
+    if excitation is not None:
+        commands = finite_array(excitation, "excitation", (None, None, model.n_inputs))
+        if 0 in commands.shape[:2]:
+            raise ValueError(f"excitation has the shape {commands.shape}; expected input sequences (E, T, m)")
+        u = pairs.u
+        at = pairs.take([int(np.argmin(((u - first) ** 2).sum(axis=1))) for first in commands[:, 0]])
+        return model.lift(at.x_history, at.u_history), commands, at.u_history[:, -1] if model.n_delays else at.u
+    delays = count(model.n_delays, "n_delays", 0)
+    steps = int(np.median([len(u) for u in episodes.us]))
+    usable = [i for i, u in enumerate(episodes.us) if len(u) >= steps][:ROLLOUTS]
+    x = np.stack([episodes.xs[i][len(episodes.xs[i]) - delays - 1 :] for i in usable])
+    past = np.stack([episodes.us[i][len(episodes.us[i]) - delays :] for i in usable])
+    commands = np.stack([episodes.us[i][::-1][:steps] for i in usable])
+    return model.lift(x, past), commands, commands[:, 0]
+
+
+class _Nearest:
+    """Residuals of recorded pairs in the lifted state, found by state and inputs."""
+
+    def __init__(self, model: LiftedModel, pairs: Pairs) -> None:
+        delays, x, u = pairs.n_delays, pairs.x, pairs.u
+        z = model.lift(pairs.x_history, pairs.u_history)
+        after_x = pairs.states[pairs.row[:, None] + np.arange(1 - delays, 2)]
+        after_u = pairs.inputs[pairs.input_row[:, None] + np.arange(1 - delays, 1)]
+        self.residuals = model.lift(after_x, after_u) - model.rollout(z, u[:, None]).z[:, 1]
+        before = pairs.u_history[:, -1] if delays else u
+        self.delays, self.scale = delays, np.maximum(model.state_range, 1e-300)
+        self.state_weight = _spread(x / self.scale)
+        self.input_weight = _spread(np.hstack([before, u]))
+        self.keys = self._key(x, before, u)
+        self.squares = (self.keys**2).sum(axis=1)
+
+    def residual(self, x: Array, before: Array, u: Array) -> Array:
+        """Residuals (E, M) of the pairs nearest to states x (E, n) and inputs (E, m)."""
+        key = self._key(x, before, u)
+        return np.asarray(self.residuals[np.argmin(self.squares - 2.0 * key @ self.keys.T, axis=1)])
+
+    def _key(self, x: Array, before: Array, u: Array) -> Array:
+        if not self.delays:
+            before = u
+        return np.hstack([x / self.scale / self.state_weight, np.hstack([before, u]) / self.input_weight])
+
+
+def _spread(values: Array) -> float:
+    """Root of the total variance of the columns; 1 if nothing varies."""
+    return float(np.sqrt(values.var(axis=0).sum())) or 1.0
