@@ -69,7 +69,7 @@ def bilinear(d1: ps.Episodes, drawn: ps.Pairs) -> ps.BilinearEDMDc:
         return ps.BilinearEDMDc(theta, alpha="cv", alphas=RIDGES, cv_states="shape").fit(d1, drawn)
 
 
-def track(report: Report, arm: ps.TendonArm, model: ps.ReliftedEDMDc, steps: int) -> None:
+def track(report: Report, arm: ps.TendonArm, model: ps.ReliftedEDMDc | ps.BilinearEDMDc, steps: int) -> None:
     """A circle of 0.1 m in 4 s on the simulated arm, and the time of a move."""
     mpc = MPC(model, 20, -0.014, 0.016, 0.002, axes=(0, 1))
     plant, reference = arm.scene.fast_stepper(dt=model.lifted.dt), ps.references.circle(radius=0.1, period=4.0, width=2)
