@@ -21,6 +21,8 @@ if _TYPE_CHECKING:
     from pisplit.data.episodes import Pairs as Pairs
     from pisplit.data.phase import PhaseSamples as PhaseSamples
     from pisplit.dictionary.dictionary import Dictionary as Dictionary
+    from pisplit.estimators.actuator_scan import FoundActuator as FoundActuator
+    from pisplit.estimators.actuator_scan import find_actuator as find_actuator
     from pisplit.estimators.bilinear import BilinearEDMDc as BilinearEDMDc
     from pisplit.estimators.edmdc import LinearEDMDc as LinearEDMDc
     from pisplit.estimators.pi import PIEDMDc as PIEDMDc
@@ -68,6 +70,7 @@ _PLACES = {
     "pisplit.data.episodes": "Episodes Pairs",
     "pisplit.data.phase": "PhaseSamples",
     "pisplit.dictionary.dictionary": "Dictionary",
+    "pisplit.estimators.actuator_scan": "FoundActuator find_actuator",
     "pisplit.estimators.bilinear": "BilinearEDMDc",
     "pisplit.estimators.edmdc": "LinearEDMDc",
     "pisplit.estimators.pi": "PIEDMDc",
@@ -99,6 +102,7 @@ __all__ = [
     "Comparison",
     "Dictionary",
     "Episodes",
+    "FoundActuator",
     "HalfStep",
     "HorizonErrors",
     "Identified",
@@ -123,6 +127,7 @@ __all__ = [
     "TwinEDMDc",
     "balanced_truncation",
     "compare",
+    "find_actuator",
     "generator_edmd",
     "generator_spectrum",
     "half_step",

@@ -126,7 +126,7 @@ class ReliftedEDMDc(Estimator):
         if not isinstance(d1, Episodes):
             raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
         all_of = d1.pairs(1) if pairs is None else d1.checked_pairs(pairs, 1)
-        theta = _dictionary(d1)
+        theta = state_dictionary(d1)
         if set(self.omit) - set(theta.names.quantities):
             raise ValueError(f"omit = {list(self.omit)}; expected quantities of {sorted(set(theta.names.quantities))}")
         training, held, numbers = hold_out(d1, all_of, 1)
@@ -194,14 +194,18 @@ class ReliftedEDMDc(Estimator):
         for s in structures:
             if shape is None or shape[0].sizes[0] != s.components or shape[1:] != (s.leading, s.degree):
                 coordinates = Coordinates.of(pairs, theta.names.quantities, self.omit, s.components)
-                solve = _Regression(coordinates, pairs, s.leading, s.degree)
+                solve = ReliftedRegression(coordinates, pairs, s.leading, s.degree)
                 shape = coordinates, s.leading, s.degree
             assert solve is not None
             yield s, solve.model(s, d1, pairs, theta)
 
 
-class _Regression:
-    """Ridge regression of c+ - c on [1, c, mean input, change, products], for any ridge."""
+class ReliftedRegression:
+    """Ridge regression of c+ - c on [1, c, mean input, change, products], for any ridge.
+
+    ``coordinates`` of the states and inputs, ``pairs`` with one step of history, numbers of ``leading`` components and
+    ``degree`` of their products.
+    """
 
     def __init__(self, coordinates: Coordinates, pairs: Pairs, leading: int, degree: int) -> None:
         self.coordinates = coordinates
@@ -221,7 +225,7 @@ class _Regression:
         self.projected = u.T @ triangle[:, width:]
 
     def model(self, structure: Structure, d1: Episodes, pairs: Pairs, theta: Dictionary) -> LiftedModel:
-        """The model with the ridge of the ``structure``."""
+        """The model with the ridge of the ``structure``; names of ``d1`` and ``theta``, inputs as in ``pairs``."""
         coordinates, s = self.coordinates, self.s
         r, _, m = coordinates.sizes
         alpha = structure.alpha * float((s**2).sum()) / self.vt.shape[1]
@@ -280,8 +284,8 @@ def _lift(coordinates: Coordinates) -> ca.Function:
     return ca.Function("lift", [x, u], [ca.densify(ca.vertcat(c, u))])
 
 
-def _dictionary(d1: Episodes) -> Dictionary:
-    """States, inputs and the last input, with the names of the data: what histories and names are checked with."""
+def state_dictionary(d1: Episodes) -> Dictionary:
+    """States, inputs and the last input, with the names of ``d1``: what histories and names are checked with."""
     terms = (ob.Constant(), ob.States(), ob.Inputs(), ob.Delays(inputs=1))
     return Dictionary(*terms, n_states=d1.n_states, n_inputs=d1.n_inputs).named_after(d1)
 

@@ -1,0 +1,75 @@
+"""Recordings behind an actuator: positions in the place of commands, and the actuator found from recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pisplit import Actuator, Dictionary, Episodes, LinearEDMDc, find_actuator
+from pisplit import observables as ob
+
+DT = 0.05
+A = np.array([[0.95, 0.2], [-0.2, 0.9]])
+
+
+def recorded(actuator: Actuator, seed: int = 0, episodes: int = 6, steps: int = 80) -> Episodes:
+    """A linear system under the mean position over each step; what is recorded are commands and states."""
+    rng = np.random.default_rng(seed)
+    xs, us = [], []
+    for _ in range(episodes):
+        knots = np.concatenate([[0.0], rng.normal(size=steps // 6 + 2)])
+        u = np.interp(np.arange(steps) / 6.0, np.arange(len(knots)), knots)[:, None]
+        moved = actuator.simulate(u, DT)[0]
+        before = np.vstack([moved[:1], moved[:-1]])
+        x = [np.zeros(2)]
+        for k in range(steps):
+            x.append(A @ x[-1] + np.array([0.05, 0.15]) * 0.5 * (moved[k] + before[k]))
+        xs.append(np.array(x))
+        us.append(u)
+    return Episodes(xs, us, dt=DT)
+
+
+@pytest.mark.parametrize(("lag", "play"), [(0.06, 0.0), (0.0, 0.3), (0.04, 0.2)])
+def test_lag_and_play_are_found(lag: float, play: float) -> None:
+    found = find_actuator(recorded(Actuator(lag=lag, play=play)))
+    assert found.actuator.lag == pytest.approx(lag, abs=0.15 * lag)
+    assert found.actuator.play == pytest.approx(play, abs=0.15 * play)
+    assert found.residual < 0.2 * found.without
+    assert found.residual == found.tried[:, 2].min()
+
+
+def test_where_there_is_no_actuator_none_is_found() -> None:
+    found = find_actuator(recorded(Actuator()))
+    assert found.actuator == Actuator()
+    assert found.residual == found.without < 1e-6
+
+
+def test_positions_make_a_linear_model_exact_again() -> None:
+    actuator = Actuator(lag=0.04, play=0.2)
+    theta = Dictionary(ob.States(), ob.Inputs(), ob.Delays(inputs=1), n_states=2, n_inputs=1)
+    d1, test = recorded(actuator), recorded(actuator, seed=1)
+    commands = LinearEDMDc(theta).fit(d1).score(test).median
+    positions = LinearEDMDc(theta).fit(d1.through(actuator)).score(test.through(actuator)).median
+    assert positions < 1e-18 < 1e-4 < commands
+
+
+def test_recordings_pass_through_one_by_one_and_say_so() -> None:
+    d1, actuator = recorded(Actuator()), Actuator(lag=0.03, play=0.1)
+    passed = d1.through(actuator, start=[0.0])
+    for u, position in zip(d1.us, passed.us, strict=True):
+        np.testing.assert_array_equal(position, actuator.simulate(u, DT)[0])  # commands begin at zero
+    assert passed.provenance == {"actuator": {"lag": 0.03, "play": 0.1, "rate": None, "inputs": "ramp"}}
+    np.testing.assert_array_equal(passed.xs[0], d1.xs[0])
+    np.testing.assert_array_equal(d1.through(Actuator()).us[0], d1.us[0])
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    d1 = recorded(Actuator())
+    with pytest.raises(ValueError, match="expected an Actuator"):
+        d1.through(0.03)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="start"):
+        d1.through(Actuator(), start=[0.0, 1.0])
+    with pytest.raises(ValueError, match="plays"):
+        find_actuator(d1, plays=[-1.0])
+    with pytest.raises(ValueError, match="at least 20"):
+        find_actuator(Episodes([d1.xs[0][:11]], [d1.us[0][:10]], DT))
