@@ -391,7 +391,7 @@ def test_rod_coordinates_refuse_what_they_cannot_tell(arm: TendonArm) -> None:
 
 
 def test_episodes_with_backlash_record_commands_and_move_by_what_is_left(arm: TendonArm, tmp_path: Path) -> None:
-    late = make_episodes(arm, tmp_path / "late.h5", 1, STEPS, DT, **SMALL, backlash=1e-3)
+    late = make_episodes(arm, tmp_path / "late.h5", 1, STEPS, DT, **SMALL, actuator=Actuator(play=1e-3))
     told = make_episodes(arm, tmp_path / "told.h5", 1, STEPS, DT, **SMALL)
     np.testing.assert_array_equal(late.us[0], told.us[0])
     servo = late.extra["state"][0][1:, -3:]
@@ -399,7 +399,5 @@ def test_episodes_with_backlash_record_commands_and_move_by_what_is_left(arm: Te
     np.testing.assert_allclose(servo, moved, atol=1e-12)
     assert np.abs(late.xs[0] - told.xs[0]).max() > 1e-3
     origin = recording.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1)
-    with pytest.raises(ValueError, match=r"backlash = 0\.001, not 0\.0"):
+    with pytest.raises(ValueError, match=r"actuator = \[0\.0, 0\.001, None\], not \[0\.0, 0\.0, None\]"):
         recording.check_origin(tmp_path / "late.h5", late.provenance, origin)
-    with pytest.raises(ValueError, match="backlash = -1"):
-        make_episodes(arm, tmp_path / "d1.h5", 1, STEPS, DT, **SMALL, backlash=-1.0)

@@ -4,8 +4,10 @@ Of one section also the table of its equilibria, the known physics and models of
 """
 
 from pisplit.models.arm.base import Arm
+from pisplit.models.arm.disk_robot import DiskRobot, disk_robot
 from pisplit.models.arm.multi_section_arm import MultiSectionArm
 from pisplit.models.arm.physics import ArmPhysics
+from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.recording import (
     deviations_from_equilibrium,
     make_episodes,
@@ -20,12 +22,15 @@ from pisplit.models.arm.twin import twin_alone, twin_dictionaries, twin_dictiona
 __all__ = [
     "Arm",
     "ArmPhysics",
+    "ArmPredictor",
+    "DiskRobot",
     "EquilibriumTable",
     "MultiSectionArm",
     "OutsideTable",
     "RestShapes",
     "TendonArm",
     "deviations_from_equilibrium",
+    "disk_robot",
     "equilibrium_table",
     "make_episodes",
     "make_phase_samples",

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.checks import Array, count, finite_array, non_negative, one_of, positive
+from pisplit.checks import Array, count, finite_array, one_of, positive
 from pisplit.data.actuator import Actuator, ActuatorState
 from pisplit.models import rod
 from pisplit.models.arm.base import Arm
@@ -33,6 +33,7 @@ LAWS = ("zero-sum", "independent")
 #: What moves an arm whose motion is recorded, the usual one first.
 METHODS = ("fast", "idas")
 IDAS_RTOL = 1e-5
+NO_ACTUATOR = Actuator()
 #: Changes when the same arm is moved or identified differently, so that older data are not taken for new ones.
 EQUATIONS = 3
 
@@ -86,7 +87,7 @@ def random_differential(arm: Arm, n: int, rng: np.random.Generator) -> Array:
 class EpisodeTask:
     """One episode from rest: the work of one block of D1. Draws whose simulation fails are recorded and replaced.
 
-    Its attributes are arguments of ``make_episodes``: arm, steps, dt, rtol, stations, seed, law, compiled, backlash,
+    Its attributes are arguments of ``make_episodes``: arm, steps, dt, rtol, stations, seed, law, compiled, actuator,
     method.
     """
 
@@ -98,7 +99,7 @@ class EpisodeTask:
     seed: int
     law: str = "zero-sum"
     compiled: bool = False
-    backlash: float = 0.0
+    actuator: Actuator = NO_ACTUATOR
     method: str = METHODS[0]
 
     def __call__(self, k: int) -> Block:
@@ -120,9 +121,9 @@ class EpisodeTask:
         raise RuntimeError(f"episode {k} failed {ATTEMPTS} times, last: {failures[-1]}")
 
     def _moves(self, commands: Array) -> Array:
-        """What the play leaves of the commands (T, m), from rest."""
+        """What the servos make of the commands (T, m), from rest."""
         start = ActuatorState.at(self.arm.rest_inputs)
-        return Actuator(play=self.backlash).simulate(commands, self.dt, start)[0]
+        return self.actuator.simulate(commands, self.dt, start)[0]
 
 
 def make_episodes(
@@ -138,7 +139,7 @@ def make_episodes(
     progress: bool = True,
     law: str = "zero-sum",
     compiled: bool = False,
-    backlash: float = 0.0,
+    actuator: Actuator = NO_ACTUATOR,
     method: str = METHODS[0],
 ) -> Episodes:
     """Simulate ``episodes`` trajectories of the arm, store them at ``path`` (HDF5) and return them.
@@ -146,7 +147,7 @@ def make_episodes(
     States are the 24 fields at every station (names, quantities, units in the file); ``extra["state"]`` holds the
     states [xi, xi_t, u] of the simulator. Seeds are per episode: the answer does not depend on ``workers``.
     ``compiled`` turns the scene into machine code first: ten seconds once, then several times faster, same numbers.
-    ``backlash`` in m is a play between commands, which are recorded, and tendons (:func:`play`).
+    ``actuator``: servos between commands, which are recorded, and tendons.
 
     Args:
         arm: what moves.
@@ -160,15 +161,15 @@ def make_episodes(
         workers: processes, -1 for one a core.
         progress: whether to show a bar.
         law: of the inputs (:data:`LAWS`).
-        compiled, backlash: see above.
+        compiled, actuator: see above.
         method: what moves the arm (:data:`METHODS`): large checked Radau steps (``Scene.fast_stepper``), whose errors
             stay below 1e-4 L, or IDAS. Steps that the fast way left to smaller ones or to IDAS are counted in the
             provenance, ``fallback_steps``.
     """
     count(episodes, "episodes")
-    identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law, backlash, method)
+    identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law, actuator, method)
     task = EpisodeTask(arm, *(identity[name] for name in ("steps", "dt", "rtol", "stations", "seed", "law")))
-    task = replace(task, backlash=identity["backlash"], method=identity["method"])
+    task = replace(task, actuator=actuator, method=identity["method"])
     if compiled:
         task = replace(task, compiled=True)
         _simulator(arm, task.dt, task.rtol, task.stations, True, task.method)  # compiled once, not by every worker
@@ -198,12 +199,12 @@ def episodes_origin(
     stations: int = 6,
     seed: int = 0,
     law: str = "zero-sum",
-    backlash: float = 0.0,
+    actuator: Actuator = NO_ACTUATOR,
     method: str = METHODS[0],
 ) -> dict[str, Any]:
     """All that decides the episodes of ``make_episodes`` but their number; part of their provenance.
 
-    ``arm``, ``steps``, ``dt``, ``rtol``, ``stations``, ``seed``, ``law``, ``backlash`` and ``method`` are as there.
+    ``arm``, ``steps``, ``dt``, ``rtol``, ``stations``, ``seed``, ``law``, ``actuator`` and ``method`` are as there.
     """
     if one_of(method, "method", METHODS) == "fast" and rtol is not None:
         raise ValueError(f"rtol = {rtol!r} has no effect on method='fast'; leave it out, or give method='idas'")
@@ -214,7 +215,7 @@ def episodes_origin(
         "dt": positive(dt, "dt", "s"),
         "method": method,
         "rtol": None if method == "fast" else positive(IDAS_RTOL if rtol is None else rtol, "rtol"),
-        "backlash": non_negative(backlash, "backlash"),
+        "actuator": [actuator.lag, actuator.play, actuator.rate],
     }
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from ablation.figures import Table, draw_noise, draw_sizes
 from ablation.methods import methods
-from ablation.scenarios import NOISE_CURVE, PHASE_SAMPLES, ScenarioSource, scenarios
+from ablation.scenarios import NOISE_CURVE, OTHER_ROBOT, PHASE_SAMPLES, ScenarioSource, scenarios
 from common.protocol import HELD_OUT, HISTORY, summary
 from common.report import Report, parser, run
 from common.runs import Cell, Result, run_cells
@@ -38,6 +38,7 @@ BASELINES = ("L-EDMDc", "B-EDMDc")
 BOUNDED = ("L-EDMDc, bounded", "B-EDMDc, bounded")
 INFORMED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq")
 OURS = "PI twin"
+DIRECT = "arm itself"
 #: Scenarios beside the main one, and the methods they run.
 OTHERS = (*BASELINES, "PI hold", OURS)
 #: Pairs (steps) of the rows that are run at one size.
@@ -63,6 +64,9 @@ class Plan:
 
 
 FULL = Plan(120, 20, {8: 5, 16: 5, 64: 5, 128: 5, 512: 3, 0: 1}, {16: 5, 128: 5, 0: 1}, {128: 3})
+#: The other robot's recordings are few, as a robot's are.
+OTHER = Plan(20, 12, {}, {16: 3, 128: 3, 0: 3}, {})
+OTHER_QUICK = Plan(6, 2, {}, {16: 1}, {})
 QUICK = Plan(12, 4, {16: 1, 128: 1}, {16: 1}, {128: 1})
 
 
@@ -72,6 +76,8 @@ def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
     sizes = plan.sizes if main else plan.noise_sizes if name in NOISE_CURVE else plan.other_sizes
     every = (plan.training - HELD_OUT) * (steps - HISTORY)
     wanted = list(methods(Path(), 0)) if main else list(OTHERS)
+    if name.startswith(OTHER_ROBOT):
+        wanted.append(DIRECT)
     for method in wanted:
         if method in TABLED and name == "independent pulls":
             continue
@@ -174,7 +180,7 @@ def main() -> None:
     made.add_argument("--method", action="append", default=None, help="one or several methods, default all")
     made.add_argument("--workers", type=int, default=-1, help="worker processes, -1: all cores")
     arguments = made.parse_args()
-    plan, known = (QUICK if arguments.quick else FULL), scenarios()
+    known = scenarios()
     names = arguments.scenario or ([MAIN] if arguments.quick else list(known))
     unknown = [name for name in names if name not in known]
     if unknown:
@@ -187,6 +193,10 @@ def main() -> None:
     (folder / "twins").mkdir(parents=True, exist_ok=True)
     results: dict[Cell, Result] = {}
     for name in names:
+        if name.startswith(OTHER_ROBOT):
+            plan = OTHER_QUICK if arguments.quick else OTHER
+        else:
+            plan = QUICK if arguments.quick else FULL
         source = ScenarioSource(
             known[name], folder / "data", plan.training, plan.test, arguments.seed, arguments.workers
         )
@@ -194,7 +204,14 @@ def main() -> None:
         cells = [c for c in dict.fromkeys(cells_of(plan, name, len(data.test.us[0]))) if c.method in chosen]
         settings = {"seed": arguments.seed, "training": plan.training, "test": plan.test}
         used = [found[label] for label in dict.fromkeys(c.method for c in cells)]
-        results |= run_cells({name: source}, used, cells, folder / "cells", settings, arguments.workers)
+        results |= run_cells(
+            {name: source},
+            used,
+            cells,
+            folder / ("cells-other" if name.startswith(OTHER_ROBOT) else "cells"),
+            settings,
+            arguments.workers,
+        )
         print(text(tabulate(results, "shape"), name), flush=True)
     tables = {what: tabulate(results, what) for what in ("shape", "velocity")}
     report = Report.of("ablation", arguments)

@@ -24,6 +24,7 @@ COLOURS = {
     "B-EDMDc": "tab:orange",
     "PI hold": "tab:green",
     OURS: "tab:red",
+    "arm itself": "tab:purple",
     "L-EDMDc, rod + x_eq": "lightsteelblue",
     "B-EDMDc, rod + x_eq": "navajowhite",
     "PI Strang, rod + x_eq": "black",

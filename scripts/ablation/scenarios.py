@@ -12,8 +12,11 @@ from scipy.spatial.transform import Rotation
 from common.data import DT, PaperData
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array
+from pisplit.data.actuator import Actuator
 from pisplit.models import rod
+from pisplit.models.arm.disk_robot import PRESETS, disk_robot
 from pisplit.models.arm.recording import (
+    NO_ACTUATOR,
     check_origin,
     deviations_from_equilibrium,
     episodes_origin,
@@ -28,6 +31,8 @@ from pisplit.models.calibration.fit import nominal_parameters
 from pisplit.models.calibration.parametrised import TendonParameters
 
 STEPS, STATIONS = 200, 6
+#: Scenarios of the other robot begin with this, and a preset follows.
+OTHER_ROBOT = "other robot"
 #: Phase-space samples for the splits that average over D2.
 PHASE_SAMPLES = 2000
 #: Equilibria of the actuated arm that methods may know; their seed differs from those of the trajectories.
@@ -49,7 +54,8 @@ class Scenario:
     known   the arm that methods are told of: its backbone is f; its tendons are where a drawing has them
     law     input law
     noise   factor of ``NOISE`` on training states and equilibria
-    backlash   play in m between commands and tendons: hysteresis
+    actuator   servos between commands and tendons: hysteresis
+    foreign    whether the arm that moves is unlike what is known of it: moved by IDAS, its states seen by fields alone
     data    name of the scenario whose recordings these are, before noise: its own, or one of the same arm
     """
 
@@ -58,8 +64,19 @@ class Scenario:
     known: TendonArm
     law: str = "zero-sum"
     noise: float = 0.0
-    backlash: float = 0.0
+    actuator: Actuator = NO_ACTUATOR
+    foreign: bool = False
     data: str = ""
+
+    @property
+    def method(self) -> str:
+        """What moves the arm."""
+        return "idas" if self.foreign else "fast"
+
+    @property
+    def modelled(self) -> TendonArm:
+        """The arm whose equilibria stand for the states about which phase samples lie."""
+        return self.known if self.foreign else self.arm
 
     @property
     def first_guess(self) -> TendonParameters:
@@ -94,17 +111,20 @@ class ScenarioSource:
     def _samples(self, training: Episodes) -> PhaseSamples:
         scenario = self.scenario
         path = self.folder / f"d2-{scenario.name.replace(' ', '-')}-seed{self.seed}-{PHASE_SAMPLES}.h5"
-        deviations, rates = deviations_from_equilibrium(scenario.arm, training)
+        if scenario.foreign:
+            deviations, rates = _seen(scenario.known, training)
+        else:
+            deviations, rates = deviations_from_equilibrium(scenario.arm, training)
         if path.exists():
             found = PhaseSamples.load(path)
             known = scenario.known.passive
             origin = phase_origin(
-                scenario.arm, rates, seed=self.seed, law=scenario.law, deviations=deviations, known=known
+                scenario.modelled, rates, seed=self.seed, law=scenario.law, deviations=deviations, known=known
             )
             check_origin(path, found.provenance, origin)
             return found
         return make_phase_samples(
-            scenario.arm,
+            scenario.modelled,
             path,
             PHASE_SAMPLES,
             rates,
@@ -123,7 +143,13 @@ class ScenarioSource:
         if path.exists():
             found = Episodes.load(path)
             origin = episodes_origin(
-                scenario.arm, STEPS, DT, seed=self.seed, law=scenario.law, backlash=scenario.backlash
+                scenario.arm,
+                STEPS,
+                DT,
+                seed=self.seed,
+                law=scenario.law,
+                actuator=scenario.actuator,
+                method=scenario.method,
             )
             check_origin(path, found.provenance, origin)
             return found
@@ -138,7 +164,8 @@ class ScenarioSource:
             progress=self.progress,
             law=scenario.law,
             compiled=True,
-            backlash=scenario.backlash,
+            actuator=scenario.actuator,
+            method=scenario.method,
         )
 
 
@@ -157,9 +184,10 @@ def scenarios() -> dict[str, Scenario]:
         Scenario("damping twice", paper, _wrong(paper, damping=2.0), data=same),
         Scenario("damping half", paper, _wrong(paper, damping=0.5), data=same),
         Scenario("capstan friction", _with_friction(paper, 0.2), paper),
-        Scenario("backlash", paper, paper, backlash=5e-4),
+        Scenario("backlash", paper, paper, actuator=Actuator(play=5e-4)),
         Scenario("routing error", _with_twist(paper, 20.0), paper),
         Scenario("tip load", _with_tip_load(paper, 0.01), paper),
+        *(_other_robot(preset) for preset in PRESETS),
     ]
     return {scenario.name: scenario for scenario in found}
 
@@ -192,7 +220,7 @@ def equilibria(name: str, seed: int) -> tuple[Array, Array]:
     scenario = scenarios()[name]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(EQUILIBRIA_SEED,)))
     u = random_targets(scenario.arm, EQUILIBRIA, rng, scenario.law)
-    late = 0.5 * scenario.backlash * rng.uniform(-1.0, 1.0, size=u.shape)  # the play is used up in part
+    late = 0.5 * scenario.actuator.play * rng.uniform(-1.0, 1.0, size=u.shape)  # the play is used up in part
     solved = scenario.arm.scene.statics().solve_many(u + late)
     u, states = u[solved.success], solved.states[solved.success]
     fields = scenario.arm.scene.fields(states, STATIONS).reshape(len(u), -1)
@@ -213,6 +241,23 @@ def coordinates(arm: TendonArm, fields: Array) -> Array:
     """Rod coordinates (N, 2n) of measured fields (N, 24 S)."""
     function = arm.scene.coordinates(STATIONS).function
     return np.asarray(function.map(len(fields))(np.asarray(fields).T)).T
+
+
+def _other_robot(preset: int) -> Scenario:
+    """A robot with disks, friction, lag, play and noise, and its drawing."""
+    robot = disk_robot(preset)
+    name = f"{OTHER_ROBOT} {preset}"
+    return Scenario(name, robot.arm, robot.drawing, noise=0.25, actuator=robot.actuator, foreign=True)
+
+
+def _seen(arm: TendonArm, episodes: Episodes) -> tuple[Array, Array]:
+    """Strains minus those of the drawn ``arm`` at rest under the commands, and strain rates, from measured fields."""
+    n = arm.scene.n_strains
+    x = np.concatenate([x[1:] for x in episodes.xs])
+    found = coordinates(arm, x)
+    rest = arm.scene.statics().solve_many(np.concatenate(list(episodes.us)))
+    kept = rest.success
+    return found[kept, :n] - rest.states[kept, :n], found[:, n:]
 
 
 def _wrong(arm: TendonArm, young: float = 1.0, damping: float = 1.0) -> TendonArm:

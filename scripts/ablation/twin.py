@@ -68,7 +68,10 @@ class TwinMethod:
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs of a draw."""
         scenario, small = scenarios()[draw.law], compact(draw)
-        calibration = self._calibrated(scenario, small)
+        try:
+            calibration = self._calibrated(scenario, small)
+        except RuntimeError as error:  # no answer is one: it counts as divergence
+            raise ValueError(f"no twin: {error}") from None
         twin, dictionaries = _twin_of(self._simulated(calibration, scenario), self.episodes, scenario.name)
         inputs = excitation(scenario.name)
         fits = []
@@ -104,7 +107,7 @@ class TwinMethod:
             return calibrate_from_shapes(
                 scenario.known,
                 *equilibria(scenario.name, self.seed),
-                *_errors(scenario)[:2],
+                *errors_of(scenario)[:2],
                 free=RESTING,
                 start=scenario.first_guess,
             )
@@ -144,7 +147,7 @@ def from_recordings(scenario: Scenario, draw: Draw, seed: int) -> Calibration:
     """Identification of everything from the first pairs of a draw with their history, and from equilibria."""
     fields, moves = recordings(draw, scenario, min(DAMPING_PAIRS, len(draw)))
     key = (scenario.name, seed, hashlib.sha256(fields.tobytes()).hexdigest())
-    position, rotation, rate = _errors(scenario)
+    position, rotation, rate = errors_of(scenario)
     if key not in _RECORDED:  # larger draws of a seed begin with the same pairs
         _RECORDED[key] = calibrate_from_recordings(
             scenario.known,
@@ -157,7 +160,7 @@ def from_recordings(scenario: Scenario, draw: Draw, seed: int) -> Calibration:
             free=MOVING,
             start=scenario.first_guess,
             equilibria=equilibria(scenario.name, seed),
-            input_error=scenario.backlash / np.sqrt(12.0),  # play that is anywhere
+            input_error=scenario.actuator.play / np.sqrt(12.0),  # play that is anywhere
         )
     return _RECORDED[key]
 
@@ -176,7 +179,7 @@ def recordings(draw: Draw, scenario: Scenario, count: int) -> tuple[Array, Array
     return np.stack(fields), np.stack(moves)
 
 
-def _errors(scenario: Scenario) -> tuple[float, float, float]:
+def errors_of(scenario: Scenario) -> tuple[float, float, float]:
     """Standard deviations of positions, frames and rates that a calibration takes; without noise those of the noise."""
     factor = scenario.noise or 1.0
     return factor * NOISE["p"], factor * NOISE["R"], factor * NOISE["rates"]

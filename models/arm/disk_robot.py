@@ -1,0 +1,182 @@
+"""A robot that is not its twin: disks, friction both ways, servos with lag and play, sensors with noise."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pisplit import Episodes
+from pisplit.checks import Array, count, non_negative
+from pisplit.data.actuator import Actuator
+from pisplit.models import rod
+from pisplit.models.arm.recording import make_episodes, random_targets
+from pisplit.models.arm.resting import RestShapes
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
+
+#: Disks, friction coefficient, lag in s and play in m of the servos, EI and mass as parts of the drawing's, by preset.
+PRESETS = {
+    1: (8, 0.10, 0.03, 3e-4, 1.00, 1.00),
+    2: (10, 0.20, 0.05, 2e-4, 0.92, 1.06),
+    3: (6, 0.05, 0.015, 5e-4, 1.08, 0.95),
+}
+#: Nodes of the robot's rod (a drawing has 5), and the speed in m/s over which friction turns round.
+NODES, SLIP_SPEED = 6, 2e-3
+#: Noise by unit, and of frames in rad: a quarter of what is called noise elsewhere in this project.
+NOISE = {"m": 2.5e-4, "1/m": 0.0125, "m/s": 5e-3, "rad/s": 0.025}
+NOISE_ANGLE = float(np.deg2rad(0.25))
+
+
+@dataclass(frozen=True)
+class DiskRobot:
+    """A simulated robot and the drawing that people have of it, which is wrong in form and in numbers.
+
+    Its tendons run straight from disk to disk and rub there both ways, servos lag and play, sensors are noisy; it moves
+    by IDAS on another grid than models of the drawing. Its states are the 24 fields of every station, its inputs the
+    commands. Viscoelastic creep, which real backbones show too, is not in it.
+
+    Attributes:
+        arm: what moves.
+        drawing: what is known of it: tendons along the backbone without friction.
+        actuator: its servos.
+        noise: standard deviations of measured states by unit; empty for none.
+        noise_angle: standard deviation in rad of measured frames.
+    """
+
+    arm: TendonArm
+    drawing: TendonArm
+    actuator: Actuator
+    noise: dict[str, float] = field(default_factory=dict)
+    noise_angle: float = 0.0
+
+    def record(
+        self,
+        episodes: int,
+        seed: int = 0,
+        steps: int = 200,
+        dt: float = 0.03,
+        stations: int = 6,
+        path: str | os.PathLike[str] | None = None,
+        workers: int = -1,
+        progress: bool = True,
+    ) -> Episodes:
+        """Recordings from rest under random smooth commands; arguments as in :meth:`Arm.record`.
+
+        Args:
+            episodes: their number.
+            seed: of commands and noise.
+            steps: of each recording.
+            dt: time step in s.
+            stations: number of measured points.
+            path: of an HDF5 file that keeps them; none if not given.
+            workers: processes, -1 for one a core.
+            progress: whether to show a bar.
+        """
+        with tempfile.TemporaryDirectory() as folder:
+            made = make_episodes(
+                self.arm,
+                Path(folder) / "episodes.h5",
+                episodes,
+                steps,
+                dt,
+                stations=stations,
+                seed=seed,
+                workers=workers,
+                progress=progress,
+                actuator=self.actuator,
+                method="idas",
+            )
+        rng = np.random.default_rng(np.random.SeedSequence(count(seed, "seed", 0), spawn_key=(11,)))
+        units = np.array(made.units)
+        found = replace(made, xs=[self._measured(x, units, rng) for x in made.xs], extra=None)
+        if path is not None:
+            found.save(path)
+        return found
+
+    def rest_shapes(self, number: int = 16, seed: int = 0, stations: int = 6) -> RestShapes:
+        """Shapes at rest under random commands, where play and friction leave the arm, as the cameras see them.
+
+        Args:
+            number: of shapes.
+            seed: of commands, play and noise.
+            stations: number of measured points.
+
+        Raises RuntimeError where too few commands have an equilibrium.
+        """
+        rng = np.random.default_rng(np.random.SeedSequence(count(seed, "seed", 0), spawn_key=(12,)))
+        wanted = count(number, "number")
+        u = random_targets(self.arm, wanted + 4, rng)
+        late = 0.5 * self.actuator.play * rng.uniform(-1.0, 1.0, u.shape)
+        solved = self.arm.scene.statics().solve_many(u + late)
+        kept = np.flatnonzero(solved.success)[:wanted]
+        if len(kept) < wanted:
+            raise RuntimeError(f"{len(kept)} of {len(u)} random displacements have an equilibrium")
+        y = self.arm.scene.fields(solved.states[kept], stations).reshape(wanted, -1)
+        found = self.arm.scene.field_map(stations)
+        units = np.array([UNITS[q] for q in found.quantities])
+        y = self._measured(y, units, rng)
+        return RestShapes(u[kept], y, max(self.noise.get("m", 0.0), 1e-4), max(self.noise_angle, 2e-3))
+
+    def _measured(self, x: Array, units: NDArray[np.str_], rng: np.random.Generator) -> Array:
+        """States (T, n) of these ``units`` with noise; frames are turned, so that they stay rotations."""
+        std = np.array([non_negative(self.noise.get(unit, 0.0), f"noise of {unit!r}") for unit in units])
+        y = x + std * rng.standard_normal(x.shape)
+        if self.noise_angle > 0.0:
+            for first in range(0, x.shape[1], N_FIELDS):
+                frame = slice(first + 3, first + 12)
+                turns = Rotation.from_rotvec(self.noise_angle * rng.standard_normal((len(x), 3))).as_matrix()
+                y[:, frame] = (x[:, frame].reshape(-1, 3, 3) @ turns).reshape(len(x), 9)
+        return y
+
+
+def disk_robot(
+    preset: int = 1,
+    disks: bool = True,
+    friction: bool = True,
+    servos: bool = True,
+    noise: bool = True,
+) -> DiskRobot:
+    """The other robot: an arm of the paper's size, built otherwise than it is drawn.
+
+    Args:
+        preset: 1, 2 or 3 (:data:`PRESETS`): disks, friction, lag, play, and how far stiffness and mass are off.
+        disks: whether tendons run over disks; along the backbone otherwise.
+        friction: whether they rub; at disks both ways, without disks as when they are pulled.
+        servos: whether servos lag and play.
+        noise: whether sensors are noisy.
+
+    Raises ValueError for other presets.
+    """
+    if preset not in PRESETS:
+        raise ValueError(f"preset = {preset!r}; expected one of {', '.join(map(str, PRESETS))}")
+    number, mu, lag, play, stiffness, mass = PRESETS[preset]
+    drawing = TendonArm.paper()
+    scene, drawn = drawing.scene, drawing.tendons
+    assert isinstance(drawn, rod.Tendons)
+    material = scene.rod.material
+    assert isinstance(material, rod.Elastic)
+    built = rod.Elastic(stiffness * material.young, stiffness * material.shear, mass * material.density)
+    rubs = mu if friction else 0.0
+    tendons = replace(
+        drawn,
+        friction=rubs,
+        disks=number if disks else None,
+        slip_speed=SLIP_SPEED if disks and rubs > 0.0 else None,
+    )
+    terms = [tendons if term is drawn else term for term in scene.terms]
+    arm = TendonArm(
+        rod.Scene(replace(scene.rod, material=built), *terms, nodes=NODES), drawing.pretension, drawing.amplitude
+    )
+    return DiskRobot(
+        arm=arm,
+        drawing=drawing,
+        actuator=Actuator(lag=lag, play=play) if servos else Actuator(),
+        noise=dict(NOISE) if noise else {},
+        noise_angle=NOISE_ANGLE if noise else 0.0,
+    )

@@ -1,0 +1,80 @@
+"""The other robot, and an arm's own equations as predictor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pisplit import Actuator, Episodes
+from pisplit.models import rod
+from pisplit.models.arm import ArmPredictor, DiskRobot, TendonArm, disk_robot
+
+DT = 0.03
+
+
+@pytest.fixture(scope="module")
+def robot() -> DiskRobot:
+    """Lag and play alone: quick to move."""
+    return disk_robot(1, disks=False, friction=False, noise=False)
+
+
+@pytest.fixture(scope="module")
+def recorded(robot: DiskRobot) -> Episodes:
+    return robot.record(2, seed=3, steps=30, workers=1, progress=False)
+
+
+def test_presets_differ_and_parts_can_be_left_out() -> None:
+    whole = [disk_robot(preset) for preset in (1, 2, 3)]
+    assert len({str(r.arm.scene) + str(r.actuator) for r in whole}) == 3
+    for r in whole:
+        tendons = r.arm.tendons
+        assert isinstance(tendons, rod.Tendons) and tendons.disks and tendons.friction > 0.0 and tendons.slip_speed
+        assert r.drawing == TendonArm.paper() and r.actuator.lag > 0.0 and r.actuator.play > 0.0 and r.noise
+    bare = disk_robot(1, disks=False, friction=False, servos=False, noise=False)
+    assert bare.arm.tendons == TendonArm.paper().tendons  # preset 1 has the drawing's stiffness and mass
+    assert bare.actuator == Actuator() and not bare.noise
+    with pytest.raises(ValueError, match="preset = 4; expected one of 1, 2, 3"):
+        disk_robot(4)
+
+
+def test_recordings_hold_commands_and_noise_of_their_seed(robot: DiskRobot, recorded: Episodes, tmp_path: Path) -> None:
+    noisy = DiskRobot(robot.arm, robot.drawing, robot.actuator, {"m": 1e-3}, 0.01)
+    seen = [noisy.record(2, 3, 30, path=tmp_path / "d1.h5", workers=1, progress=False) for _ in range(2)]
+    np.testing.assert_array_equal(seen[0].xs[0], seen[1].xs[0])
+    np.testing.assert_array_equal(Episodes.load(tmp_path / "d1.h5").xs[1], seen[0].xs[1])
+    np.testing.assert_array_equal(seen[0].us[0], recorded.us[0])
+    missed = seen[0].stacked_states() - recorded.stacked_states()
+    units = np.array(recorded.units)
+    assert np.std(missed[:, units == "m"]) == pytest.approx(1e-3, rel=0.1)
+    assert not missed[:, units == "1/m"].any()
+    frames = seen[0].xs[0][:, 3:12].reshape(-1, 3, 3)
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.broadcast_to(np.eye(3), frames.shape), atol=1e-9)
+    assert np.std(frames - recorded.xs[0][:, 3:12].reshape(-1, 3, 3)) == pytest.approx(0.01 * np.sqrt(2 / 3), rel=0.3)
+
+
+def test_the_arm_predicts_itself_where_it_is_told_its_servos(robot: DiskRobot, recorded: Episodes) -> None:
+    told = ArmPredictor(robot.arm, DT, actuator=robot.actuator).score(recorded)
+    assert told.median < 1e-8 and told.unit == "m^2" and not told.diverged.any()
+    untold = ArmPredictor(robot.arm, DT).score(recorded)
+    assert untold.median > 1e3 * told.median
+    ahead = ArmPredictor(robot.arm, DT, actuator=robot.actuator)
+    x = ahead.predict(recorded.xs[0][0], recorded.us[0])
+    np.testing.assert_allclose(x, recorded.xs[0], atol=0.05, rtol=0.0)
+    assert x.shape == recorded.xs[0].shape
+    with pytest.raises(ValueError, match=r"0\.02"):
+        ArmPredictor(robot.arm, 0.02).score(recorded)
+    with pytest.raises(ValueError, match="states = 'tail'; expected one of"):
+        ahead.score(recorded, "tail")
+    with pytest.raises(ValueError, match="before is empty"):
+        ahead.predict(recorded.xs[0][0], recorded.us[0], np.zeros((0, 3)))
+
+
+def test_shapes_at_rest_are_where_play_leaves_the_arm(robot: DiskRobot) -> None:
+    shapes = robot.rest_shapes(4, seed=1, stations=3)
+    assert len(shapes) == 4 and shapes.stations == 3
+    scene = robot.arm.scene
+    exact = scene.fields(scene.statics().solve_many(shapes.inputs).states, 3).reshape(4, -1)
+    off = np.abs(shapes.fields - exact)[:, -24:-21].max()
+    assert 1e-4 < off < 0.05  # the play of 0.3 mm at 15 mm from the axis
