@@ -12,7 +12,7 @@ DT = 0.05
 A = np.array([[0.95, 0.2], [-0.2, 0.9]])
 
 
-def recorded(actuator: Actuator, seed: int = 0, episodes: int = 6, steps: int = 80) -> Episodes:
+def recorded(actuator: Actuator, seed: int = 0, episodes: int = 4, steps: int = 80) -> Episodes:
     """A linear system under the mean position over each step; what is recorded are commands and states."""
     rng = np.random.default_rng(seed)
     xs, us = [], []

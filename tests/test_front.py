@@ -98,6 +98,9 @@ def test_recordings_of_any_system_without_an_arm(duffing: ps.Episodes) -> None:
     notes = {t.name: t.note for t in report.tried}
     assert notes["PI-EDMDc, hold"].startswith("not tried: no arm given")
     assert report.horizons[0][0] == pytest.approx(0.05) and report.horizons[-1][1] < 0.1
+    assert report.predicted in " ".join(str(report).split()) and "lost" not in report.predicted
+    assert report.predicted.count(" after ") == len(report.horizons)
+    assert type(report).of_dict(report.as_dict()).predicted == report.predicted
     mpc = model.mpc(u_max=1.0, du_max=2.0)
 
     class Spring:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from pisplit import Episodes, HorizonErrors, LiftedModel, horizon_errors, rollout_errors
+from pisplit import Episodes, HorizonErrors, LiftedModel, horizon_errors, predicted_error, rollout_errors
 from pisplit.front.candidates import CANDIDATES, Candidate, by_hand, fitted
 from pisplit.front.case import GROUPS, Case
 from pisplit.front.judgement import helps, unfit
@@ -262,7 +262,18 @@ def _report(
         unfit=unfit(case, fits[best.name], found),
         helps=helps(case, tried, best.name, found, _gain(part, best, held, error[best.name])),
         code=by_hand(case, best),
+        predicted=_predicted(fits[best.name], held, case.states, found.horizons),
     )
+
+
+def _predicted(estimator: Any, held: Episodes, states: Any, horizons: Any) -> str:
+    """Root of the median predicted squared error under commands that were not recorded, some horizons ahead."""
+    found = predicted_error(estimator, held, states=states)
+    ahead = [int(h) for h in horizons if h <= len(found.by_horizon)]
+    unit = f" {found.unit.removesuffix('^2')}" if found.unit else ""
+    values = [(h * held.dt, float(np.sqrt(found.by_horizon[h - 1]))) for h in ahead]
+    told = [f"{e:.2g}{unit} after {t:.3g} s" if np.isfinite(e) else f"lost after {t:.3g} s" for t, e in values]
+    return f"under commands that were not recorded: {', '.join(told)} (residuals of held-out pairs, fed back)"
 
 
 def _positions(case: Case) -> list[int]:

@@ -47,6 +47,7 @@ class Report:
         unfit: what the model is not fit for.
         helps: what would help most.
         code: what does the same by hand.
+        predicted: errors to expect under commands that were not recorded (:func:`pisplit.predicted_error`), in words.
     """
 
     chosen: str
@@ -59,6 +60,7 @@ class Report:
     unfit: tuple[str, ...]
     helps: tuple[str, ...]
     code: str
+    predicted: str = ""
 
     def __str__(self) -> str:
         width = max(len(t.name) for t in self.tried)
@@ -75,6 +77,8 @@ class Report:
         lines.append("  normalised " + "".join(f"{e:>9.2g}" for _, e, _ in self.horizons))
         if self.tip:
             lines.append("  tip        " + "".join(f"{e:>9.2g}" for *_, e in self.horizons))
+        if self.predicted:
+            lines += ["", *_wrapped("predicted ", self.predicted)]
         for title, items in (("not fit for", self.unfit), ("what would help most", self.helps)):
             lines += ["", title]
             for item in items:
