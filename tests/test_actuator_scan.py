@@ -35,7 +35,7 @@ def test_lag_and_play_are_found(lag: float, play: float) -> None:
     assert found.actuator.lag == pytest.approx(lag, abs=0.15 * lag)
     assert found.actuator.play == pytest.approx(play, abs=0.15 * play)
     assert found.residual < 0.2 * found.without
-    assert found.residual == found.tried[:, 2].min()
+    assert found.residual - found.tried[:, 2].min() <= 0.02 * found.without
 
 
 def test_where_there_is_no_actuator_none_is_found() -> None:

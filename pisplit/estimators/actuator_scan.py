@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 
 #: The map from positions to motion in the scan: components, leading ones, degree and ridge.
 MAP = Structure(16, 4, 2, 1e-9)
-#: A lag or a play that takes less than this part off the residual is not there.
-WORTH = 0.05
+#: A lag or a play is not there if it takes less than this part off the residual that is left without it, or less than
+#: the second part off the residual without an actuator: grids are finite, and one of the two makes up for the other.
+WORTH, WORTH_OF_ALL = 0.05, 0.02
 #: Times that the grid is narrowed around the best.
 REFINEMENTS = 4
 
@@ -94,7 +95,8 @@ def find_actuator(
         best = min(((a, b) for a in near[0] for b in near[1]), key=lambda key: residual(*key))
         steps_of = [0.5 * s for s in steps_of]
     for simpler in ((0.0, 0.0), (0.0, best[1]), (best[0], 0.0)):
-        if residual(*simpler) <= residual(*best) / (1.0 - WORTH):
+        gain = residual(*simpler) - residual(*best)
+        if gain <= max(WORTH * residual(*simpler), WORTH_OF_ALL * without):
             best = simpler
             break
     rows = np.array([(*key, value) for key, value in tried.items()])
