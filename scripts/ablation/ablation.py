@@ -77,7 +77,7 @@ def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
     every = (plan.training - HELD_OUT) * (steps - HISTORY)
     wanted = list(methods(Path(), 0)) if main else list(OTHERS)
     if name.startswith(OTHER_ROBOT):
-        wanted.append(DIRECT)
+        wanted += ["re-lifted", DIRECT]
     for method in wanted:
         if method in TABLED and name == "independent pulls":
             continue
