@@ -12,15 +12,8 @@ from pathlib import Path
 
 from common.report import Report, parser, run
 from pisplit import Episodes, PhaseSamples
-from pisplit.models.arm.recording import (
-    check_origin,
-    deviations_from_equilibrium,
-    episodes_origin,
-    make_episodes,
-    make_phase_samples,
-    phase_origin,
-    strain_rates,
-)
+from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples, phase_origin, strain_rates
+from pisplit.models.arm.recording import check_origin, episodes_origin, make_episodes
 from pisplit.models.arm.tendon_arm import TendonArm
 
 

@@ -12,8 +12,9 @@ from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
 from pisplit.generator import generator_edmd
 from pisplit.models import rod
+from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples
 from pisplit.models.arm.physics import ArmPhysics
-from pisplit.models.arm.recording import deviations_from_equilibrium, make_episodes, make_phase_samples
+from pisplit.models.arm.recording import make_episodes
 from pisplit.models.arm.static_table import equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod.equations.prestressed import prestressed_acceleration

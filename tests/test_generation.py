@@ -18,14 +18,8 @@ from pisplit import Episodes, PhaseSamples
 from pisplit.data.actuator import Actuator, ActuatorState
 from pisplit.models import rod
 from pisplit.models.arm import recording
-from pisplit.models.arm.recording import (
-    deviations_from_equilibrium,
-    make_episodes,
-    make_phase_samples,
-    random_differential,
-    random_displacements,
-    strain_rates,
-)
+from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples, strain_rates
+from pisplit.models.arm.recording import make_episodes, random_differential, random_displacements
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod.equations.prestressed import prestressed_acceleration
 

@@ -17,14 +17,8 @@ import pytest
 
 from pisplit.models import rod
 from pisplit.models.arm.blocks import run_blocks
-from pisplit.models.arm.recording import (
-    EpisodeTask,
-    check_origin,
-    episodes_origin,
-    make_episodes,
-    make_phase_samples,
-    phase_origin,
-)
+from pisplit.models.arm.phase_samples import make_phase_samples, phase_origin
+from pisplit.models.arm.recording import EpisodeTask, check_origin, episodes_origin, make_episodes
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod.scene import fingerprint
 

@@ -11,7 +11,7 @@ from pisplit.checks import Array, finite_array
 from pisplit.controllers.loop.history import Line
 from pisplit.controllers.loop.plant import Plant
 from pisplit.controllers.plants.wrapped import WrappedPlant
-from pisplit.data.actuator import Actuator, ActuatorState
+from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
 
 
 class DelayedCommands(WrappedPlant):
@@ -74,9 +74,7 @@ class ActuatedPlant(WrappedPlant):
 
     def __init__(self, plant: Plant, actuator: Actuator, inputs: str = "ramp") -> None:
         super().__init__(plant)
-        if not isinstance(actuator, Actuator):
-            raise ValueError(f"actuator is a {type(actuator).__name__}; expected an Actuator(lag=, play=, rate=)")
-        self.actuator, self.inputs = actuator, inputs
+        self.actuator, self.inputs = checked_actuator(actuator), inputs
         self._state = ActuatorState.at(np.zeros(self.n_inputs))
         actuator.simulate(np.zeros((0, self.n_inputs)), self.dt, self._state, inputs)  # refuses what it does not know
 

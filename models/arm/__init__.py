@@ -6,14 +6,10 @@ Of one section also the table of its equilibria, the known physics and models of
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.disk_robot import DiskRobot, disk_robot
 from pisplit.models.arm.multi_section_arm import MultiSectionArm
+from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.predictor import ArmPredictor
-from pisplit.models.arm.recording import (
-    deviations_from_equilibrium,
-    make_episodes,
-    make_phase_samples,
-    random_displacements,
-)
+from pisplit.models.arm.recording import make_episodes, random_displacements
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.static_table import EquilibriumTable, OutsideTable, equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm

@@ -101,3 +101,10 @@ class Actuator:
     def _follow(self, z: Array, y: Array) -> Array:
         """The play operator over a monotone move to ``y`` (m,)."""
         return np.clip(z, y - 0.5 * self.play, y + 0.5 * self.play)
+
+
+def checked_actuator(value: object) -> Actuator:
+    """``value``, which must be an Actuator. Raises ValueError otherwise."""
+    if not isinstance(value, Actuator):
+        raise ValueError(f"actuator is a {type(value).__name__}; expected an Actuator(lag=, play=, rate=)")
+    return value

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_array, positive
 from pisplit.data import episode_files, matlab, recordings, tables
-from pisplit.data.actuator import Actuator, ActuatorState
+from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
 from pisplit.data.columns import column_order, default_names, labels, regrouped, table_columns, unit_factors
 from pisplit.data.episode_checks import checked_arrays, extra_arrays, output_groups
 from pisplit.data.input_subspace import InputDirections, excited_directions
@@ -209,8 +209,7 @@ class Episodes:
         of each if not given. ``inputs``: commands are reached linearly over a step ("ramp") or held ("step"). Raises
         ValueError for what is no Actuator, and for a start of another shape.
         """
-        if not isinstance(actuator, Actuator):
-            raise ValueError(f"actuator is a {type(actuator).__name__}; expected an Actuator(lag=, play=, rate=)")
+        checked_actuator(actuator)
         rest = None if start is None else ActuatorState.at(finite_array(start, "start", (self.n_inputs,)))
         us = [actuator.simulate(u, self.dt, rest, inputs)[0] for u in self.us]
         passed = {"lag": actuator.lag, "play": actuator.play, "rate": actuator.rate, "inputs": inputs}

@@ -15,14 +15,12 @@ from pisplit.checks import Array
 from pisplit.data.actuator import Actuator
 from pisplit.models import rod
 from pisplit.models.arm.disk_robot import PRESETS, disk_robot
+from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples, phase_origin
 from pisplit.models.arm.recording import (
     NO_ACTUATOR,
     check_origin,
-    deviations_from_equilibrium,
     episodes_origin,
     make_episodes,
-    make_phase_samples,
-    phase_origin,
     random_displacements,
     random_targets,
 )

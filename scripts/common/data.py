@@ -9,14 +9,8 @@ from typing import Any
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array
 from pisplit.models import rod
-from pisplit.models.arm.recording import (
-    check_origin,
-    episodes_origin,
-    make_episodes,
-    make_phase_samples,
-    phase_origin,
-    strain_rates,
-)
+from pisplit.models.arm.phase_samples import make_phase_samples, phase_origin, strain_rates
+from pisplit.models.arm.recording import check_origin, episodes_origin, make_episodes
 from pisplit.models.arm.tendon_arm import TendonArm
 
 DT = 0.03

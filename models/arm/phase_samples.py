@@ -1,0 +1,247 @@
+"""Phase-space samples of an arm's passive part (D2): shapes under random displacements with random rates."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from pisplit import Episodes, PhaseSamples
+from pisplit.checks import Array, count, finite_array, positive
+from pisplit.models import rod
+from pisplit.models.arm.base import Arm
+from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
+from pisplit.models.arm.recording import ATTEMPTS, arm_origin, labels, random_targets
+
+SAMPLES_PER_BLOCK = 500
+
+
+def phase_origin(
+    arm: Arm,
+    rates: Array,
+    stations: int = 6,
+    seed: int = 0,
+    law: str = "zero-sum",
+    deviations: Array | None = None,
+    known: rod.Scene | None = None,
+    dt: float | None = None,
+) -> dict[str, Any]:
+    """All that decides the samples of ``make_phase_samples``, whose arguments these are, but their number.
+
+    It is part of their provenance. Raises ValueError for a known part with inputs or with other strains than the arm.
+
+    ``arm``, ``rates``, ``stations``, ``seed``, ``law``, ``deviations``, ``known`` and ``dt`` are these arguments.
+    """
+    n = arm.scene.n_strains
+    if known is not None and (known.n_inputs or known.n_strains != n):
+        raise ValueError(
+            f"known has {known.n_strains} strains and {known.n_inputs} inputs; "
+            f"expected {n} and none: leave terms of the arm out with arm.scene.without(...)"
+        )
+    return {
+        **arm_origin(arm, "phase", stations, seed, law),
+        "rates": _digest(finite_array(rates, "rates", (None, n))),
+        "deviations": None if deviations is None else _digest(finite_array(deviations, "deviations", (None, n))),
+        "known": (arm.passive if known is None else known).fingerprint(stations),
+        "flow": None if dt is None else 0.5 * positive(dt, "dt", "s"),
+    }
+
+
+@dataclass(frozen=True)
+class PhaseTask:
+    """Static shapes under random displacements with random rates: the work of one block of D2.
+
+    Its attributes follow from arguments of ``make_phase_samples``: arm, samples (of a block), rate_factor and
+    shape_factor (n, n) (roots of the covariances of rates and of deviations), stations, seed, law, known, dt, compiled.
+    """
+
+    arm: Arm
+    samples: int
+    rate_factor: Array
+    shape_factor: Array | None
+    stations: int
+    seed: int
+    law: str = "zero-sum"
+    known: rod.Scene | None = None
+    dt: float | None = None
+    compiled: bool = False
+
+    def __call__(self, k: int) -> Block:
+        """Block ``k``: fields, inputs, passive derivative of the fields."""
+        known = self.arm.passive if self.known is None else self.known
+        statics, derivative = _known_derivative(self.arm, known, self.stations)
+        scene = self.arm.scene
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(2, k)))
+        states, failures = np.empty((0, scene.n_states)), []
+        while len(states) < self.samples:
+            wanted = self.samples - len(states)
+            batch = statics.solve_many(random_targets(self.arm, wanted, rng, self.law))
+            failures += [f"residual {r:.1e} EI/L" for r in batch.residual[~batch.success]]
+            states = np.vstack([states, batch.states[batch.success]])
+            if len(failures) > ATTEMPTS * self.samples:
+                raise RuntimeError(f"block {k}: {len(failures)} static solves failed, last: {failures[-1]}")
+        n = scene.n_strains
+        if self.shape_factor is not None:
+            states[:, :n] += rng.standard_normal((self.samples, n)) @ self.shape_factor
+        states[:, n : 2 * n] = rng.standard_normal((self.samples, n)) @ self.rate_factor
+        x, xdot = (np.asarray(v).T for v in derivative.map(self.samples)(states.T))
+        block = {"x": x, "u": states[:, 2 * n :], "xdot": xdot, "failures": np.array(failures, dtype=str)}
+        if self.dt is not None:
+            flown = _flow(known, states, 0.5 * self.dt, self.compiled)
+            block["x_half"] = scene.fields(flown, self.stations).reshape(self.samples, -1)
+        return block
+
+
+def make_phase_samples(
+    arm: Arm,
+    path: str | os.PathLike[str],
+    samples: int,
+    rates: Array,
+    deviations: Array | None = None,
+    stations: int = 6,
+    seed: int = 0,
+    workers: int = -1,
+    progress: bool = True,
+    law: str = "zero-sum",
+    known: rod.Scene | None = None,
+    dt: float | None = None,
+    compiled: bool = False,
+) -> PhaseSamples:
+    """Sample the phase space of the passive arm, store the samples at ``path`` (HDF5) and return them.
+
+    Shapes are equilibria of the arm under random displacements; rates are Gaussian with the covariance of ``rates``
+    (N, n_strains), taken from simulated trajectories (paper, "Tendon-driven Soft Robot Setup"). ``xdot`` is the time
+    derivative of the fields when the arm moves without its tendons.
+
+    Args:
+        arm: the arm; its tendons are not in f.
+        path: of the file.
+        samples: their number.
+        stations: number of measured stations.
+        seed: of all samples.
+        workers: processes, -1 for one a core.
+        progress: whether to show a bar.
+        rates: strain rates (N, n_strains) of simulated trajectories.
+        deviations: strains minus those of the equilibrium under the same inputs (N, n_strains), from trajectories.
+            Their covariance is added to the static shapes. Without them D2 is the paper's: its shapes span few
+            directions, and what is fitted to them is undetermined in the others.
+        law: input law of the shapes (:data:`LAWS`).
+        known: the arm as far as f knows it, without inputs (default: all but the tendons).
+        dt: time step in s; with it the samples hold the flow of f over half of it, one integration each.
+        compiled: integrate the flow by machine code (:func:`make_episodes`).
+    """
+    count(samples, "samples")
+    identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt)
+    if dt is not None and compiled:
+        _flow_simulator(arm.passive if known is None else known, 0.5 * dt, True)
+    n = arm.scene.n_strains
+    factor = _gaussian_factor(rates, "rates", n)
+    shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
+    task = PhaseTask(
+        arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"], law, known, dt, compiled
+    )
+    identity["block"] = task.samples
+    parts = f"{os.fspath(path)}.parts"
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    blocks = run_blocks(task, -(-samples // task.samples), parts, identity, workers, "phase samples", progress)
+    x, u, xdot = (np.concatenate([b[name] for b in blocks])[:samples] for name in ("x", "u", "xdot"))
+    half = None if dt is None else np.concatenate([b["x_half"] for b in blocks])[:samples]
+    failures = [f"block {k}: {text}" for k, block in enumerate(blocks) for text in block["failures"]]
+    names = labels(arm, arm.scene.field_map(stations))
+    result = PhaseSamples(
+        x,
+        u,
+        xdot,
+        x_half=half,
+        dt=dt,
+        state_names=names["state_names"],
+        input_names=names["input_names"],
+        provenance={**identity, "failures": failures},
+    )
+    result.save(path)
+    discard_blocks(parts)
+    return result
+
+
+def deviations_from_equilibrium(arm: Arm, episodes: Episodes) -> tuple[Array, Array]:
+    """Strains minus those at rest under the inputs of the moment, and strain rates, each (N, n_strains), of simulated
+    episodes.
+
+    ``arm`` is the one that moved in ``episodes``. Raises ValueError for episodes of another arm and for recordings of a
+    real one, whose strains nobody knows.
+    """
+    n = arm.scene.n_strains
+    states = _simulated_states(arm, episodes)
+    rest = arm.scene.statics().solve_many(states[:, 2 * n :])
+    kept = rest.success
+    return states[kept, :n] - rest.states[kept, :n], states[:, n : 2 * n]
+
+
+def strain_rates(arm: Arm, episodes: Episodes) -> Array:
+    """Strain rates (N, n_strains) of simulated episodes. ``arm`` is the one that moved in ``episodes``."""
+    n = arm.scene.n_strains
+    rates: Array = _simulated_states(arm, episodes)[:, n : 2 * n]
+    return rates
+
+
+def _simulated_states(arm: Arm, episodes: Episodes) -> Array:
+    extra = episodes.extra or {}
+    if "state" not in extra:
+        raise ValueError("the episodes hold no states of a simulator (extra['state']); make them with make_episodes")
+    made = episodes.provenance or {}
+    if made.get("kind") == "episodes" and made.get("scene") != arm.scene.fingerprint(made["stations"]):
+        raise ValueError("the episodes were made by another arm, or by this one before it was changed; give that arm")
+    return finite_array(np.concatenate(list(extra["state"])), "extra['state']", (None, arm.scene.n_states))
+
+
+def _gaussian_factor(given: Array, name: str, n: int) -> Array:
+    """F with F^T F the covariance of the samples: rows of standard normals times F have that covariance."""
+    samples = finite_array(given, name, (None, n))
+    if len(samples) < 2:
+        raise ValueError(f"{name} has {len(samples)} rows; a covariance needs at least two")
+    covariance = np.atleast_2d(np.cov(samples.T))
+    floor = 1e-12 * np.trace(covariance) * np.eye(len(covariance))
+    factor: Array = np.linalg.cholesky(covariance + floor).T
+    return factor
+
+
+def _digest(samples: Array) -> str:
+    found = finite_array(samples, "samples", (None, None))
+    return hashlib.sha256(f"{found.shape}".encode() + np.ascontiguousarray(found).tobytes()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=2)
+def _known_derivative(arm: Arm, known: rod.Scene, stations: int) -> tuple[Any, ca.Function]:
+    """Statics of the arm, and ``state -> (fields, time derivative of the fields under the known part)``."""
+    scene = arm.scene
+    n = scene.n_strains
+    fields = scene.field_map(stations).function
+    x = ca.MX.sym("x", scene.n_states)
+    acceleration = known.acceleration(x[:n], x[n : 2 * n], ca.MX(known.n_inputs, 1))
+    flow = ca.vertcat(x[n : 2 * n], acceleration, ca.MX.zeros(scene.n_inputs))
+    y = fields(x)
+    return scene.statics(), ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
+
+
+def _flow(known: rod.Scene, states: Array, t: float, compiled: bool) -> Array:
+    """States (N, n) after ``t`` seconds of the known part alone; the displacements in them stay."""
+    simulator = _flow_simulator(known, t, compiled)
+    n = 2 * known.n_strains
+    flown = states.copy()
+    for row in flown:
+        trajectory = simulator.run(np.zeros((1, 0)), row[:n])
+        if not trajectory.success:
+            raise RuntimeError(f"the flow of the known part failed: {trajectory.message}")
+        row[:n] = trajectory.x[-1, :n]
+    return flown
+
+
+@lru_cache(maxsize=2)
+def _flow_simulator(known: rod.Scene, t: float, compiled: bool) -> Any:
+    return (known.compile() if compiled else known).simulator(dt=t, rtol=1e-4)
