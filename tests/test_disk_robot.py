@@ -45,6 +45,7 @@ def test_recordings_hold_commands_and_noise_of_their_seed(robot: DiskRobot, reco
     np.testing.assert_array_equal(seen[0].xs[0], seen[1].xs[0])
     np.testing.assert_array_equal(Episodes.load(tmp_path / "d1.h5").xs[1], seen[0].xs[1])
     np.testing.assert_array_equal(seen[0].us[0], recorded.us[0])
+    assert seen[0].provenance["noise"] == {"m": 1e-3} and seen[0].provenance["noise_angle"] == 0.01
     missed = seen[0].stacked_states() - recorded.stacked_states()
     units = np.array(recorded.units)
     assert np.std(missed[:, units == "m"]) == pytest.approx(1e-3, rel=0.1)
@@ -78,3 +79,31 @@ def test_shapes_at_rest_are_where_play_leaves_the_arm(robot: DiskRobot) -> None:
     exact = scene.fields(scene.statics().solve_many(shapes.inputs).states, 3).reshape(4, -1)
     off = np.abs(shapes.fields - exact)[:, -24:-21].max()
     assert 1e-4 < off < 0.05  # the play of 0.3 mm at 15 mm from the axis
+
+
+def test_a_state_that_is_no_shape_of_the_arm_is_said(recorded: Episodes) -> None:
+    """Positions in centimetres, or of an arm half as long."""
+    ahead = ArmPredictor(TendonArm.paper(), DT)
+    x = recorded.xs[0][0].copy()
+    points = np.array(recorded.units) == "m"
+    for factor in (100.0, 0.5):
+        wrong = np.where(points, factor * x, x)
+        with pytest.warns(UserWarning, match="no shape of this arm"):
+            ahead.predict(wrong, recorded.us[0][:2])
+
+
+def test_columns_of_recordings_are_found_by_name_and_unit(robot: DiskRobot, recorded: Episodes) -> None:
+    order = list(range(recorded.n_states))[::-1]
+    mixed = Episodes(
+        [x[:, order] for x in recorded.xs],
+        list(recorded.us),
+        DT,
+        state_names=[recorded.state_names[i] for i in order],
+        input_names=recorded.input_names,
+        units=[recorded.units[i] for i in order],
+    )
+    ahead = ArmPredictor(robot.arm, DT, actuator=robot.actuator)
+    found = ahead.score(mixed, "tip_velocity")
+    assert found.median == pytest.approx(ahead.score(recorded, "tip_velocity").median) and found.unit == "(m/s)^2"
+    with pytest.raises(ValueError, match="start"):
+        ahead.score(recorded, start=-1)

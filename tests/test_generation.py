@@ -17,7 +17,7 @@ import pytest
 from pisplit import Episodes, PhaseSamples
 from pisplit.data.actuator import Actuator, ActuatorState
 from pisplit.models import rod
-from pisplit.models.arm import recording
+from pisplit.models.arm import phase_samples, recording
 from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples, strain_rates
 from pisplit.models.arm.recording import make_episodes, random_differential, random_displacements
 from pisplit.models.arm.tendon_arm import TendonArm
@@ -238,7 +238,7 @@ def test_xdot_is_how_the_simulated_passive_arm_begins_to_move(tmp_path: Path) ->
 def test_phase_samples_depend_on_their_seed_only_and_survive_their_file(
     arm: TendonArm, moves: tuple[np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "SAMPLES_PER_BLOCK", 15)
+    monkeypatch.setattr(phase_samples, "SAMPLES_PER_BLOCK", 15)
     one = make_phase_samples(arm, tmp_path / "one.h5", 40, moves[1], moves[0], **SMALL)
     two = make_phase_samples(arm, tmp_path / "two.h5", 40, moves[1], moves[0], **{**SMALL, "workers": 2})
     more = make_phase_samples(arm, tmp_path / "more.h5", 50, moves[1], moves[0], **SMALL)
@@ -395,3 +395,19 @@ def test_episodes_with_backlash_record_commands_and_move_by_what_is_left(arm: Te
     origin = recording.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1)
     with pytest.raises(ValueError, match=r"actuator = \[0\.0, 0\.001, None\], not \[0\.0, 0\.0, None\]"):
         recording.check_origin(tmp_path / "late.h5", late.provenance, origin)
+
+
+def test_recordings_of_older_versions_are_taken_for_what_they_are(arm: TendonArm, tmp_path: Path) -> None:
+    """Their servos had play alone, told in metres."""
+    origin = recording.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1)
+    old = {name: value for name, value in origin.items() if name != "actuator"}
+    recording.check_origin(tmp_path, {**old, "backlash": 0.0}, origin)
+    with pytest.raises(ValueError, match="actuator"):
+        recording.check_origin(tmp_path, {**old, "backlash": 1e-3}, origin)
+    played = recording.episodes_origin(arm, STEPS, DT, stations=STATIONS, seed=1, actuator=Actuator(play=1e-3))
+    recording.check_origin(tmp_path, {**old, "backlash": 1e-3}, played)
+
+
+def test_what_is_no_actuator_is_refused(arm: TendonArm, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"actuator is a float; expected an Actuator\(lag=, play=, rate=\)"):
+        make_episodes(arm, tmp_path / "d1.h5", 1, STEPS, DT, **SMALL, actuator=1e-3)

@@ -151,6 +151,18 @@ def test_mpc_reaches_a_set_point_of_the_true_system(fitted: ReliftedEDMDc) -> No
     assert abs(x[0] - 0.4) < 1e-4
 
 
+def test_products_that_overflow_end_in_a_status_and_are_forgotten(fitted: ReliftedEDMDc) -> None:
+    model = fitted.lifted
+    mpc = MPC(model, 12, -1.0, 1.0, 0.5, track=[0], estimator_gain=0.0)
+    window = np.full((12, 1), 0.2)
+    move = mpc.step(np.array([1e90, 1e90]), window)
+    assert move.fallback and move.status == "prediction not finite"
+    assert not mpc.step(np.array([0.1, 0.1]), window).fallback
+    wild = replace(model, relifted=replace(model.relifted, weights=1e3 * model.relifted.weights))
+    with pytest.raises(ValueError, match="too large over the horizon"):
+        MPC(wild, 12, -1.0, 1.0, 0.5, track=[0])
+
+
 def test_units_do_not_matter() -> None:
     d1, test = recorded(), recorded(seed=5)
     units = np.array([1e3, 1e3])

@@ -79,10 +79,14 @@ class DisturbanceEstimator:
 
         ``bilinear`` (M,): what products of inputs and lifted states add, in a bilinear model.
         """
+        self._predicted = self.following(z, self._w, features, bilinear)
+        return self._predicted
+
+    def following(self, z: Array, w: Array, features: Array, bilinear: Array | None = None) -> Array:
+        """As ``predict`` of ``z``, ``features``, ``bilinear``, under a disturbance ``w`` (M,); nothing is kept."""
         z_next = self._transition(z) + self._B @ features
         if bilinear is not None:
             z_next += bilinear
         z_next += self._c
-        z_next += self._w
-        self._predicted = z_next
-        return z_next
+        z_next += w
+        return np.asarray(z_next)

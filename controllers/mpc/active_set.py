@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pisplit.checks import Array
-from pisplit.controllers.mpc.qp import PRIMAL_TOLERANCE, QPResult, QPSettings, QPState
+from pisplit.controllers.mpc.qp import PRIMAL_TOLERANCE, QPResult, QPSettings, QPState, unsolvable
 
 #: Exit flags of DAQP.
 STATUS = {
@@ -39,7 +39,7 @@ class ActiveSetQP:
         self._solve: Any = importlib.import_module("daqp").solve
         self._settings = settings
         self._P, self._A = P.copy(), A.copy()
-        self._x, self._y = np.zeros(P.shape[0]), np.zeros(A.shape[0])
+        self._y = np.zeros(A.shape[0])
 
     @property
     def multipliers(self) -> Array:
@@ -48,7 +48,7 @@ class ActiveSetQP:
 
     def snapshot(self) -> QPState:
         """The state from which ``restore`` goes on."""
-        return QPState(self._P.copy(), self._A.copy(), 0.0, self._x.copy(), self._y.copy(), False)
+        return QPState(self._P.copy(), self._A.copy(), 0.0, np.zeros(len(self._P)), self._y.copy(), False)
 
     def restore(self, state: QPState) -> None:
         """Go on from a ``state`` of a program of the same size; raises ValueError for others."""
@@ -57,7 +57,7 @@ class ActiveSetQP:
                 "the snapshot is of another problem: its matrices differ in size; restore it where it is from"
             )
         self._P, self._A = state.P.copy(), state.A.copy()
-        self._x, self._y = state.x.copy(), state.y.copy()
+        self._y = state.y.copy()
 
     def solve(
         self,
@@ -73,10 +73,8 @@ class ActiveSetQP:
 
         P (n, n) and A (k, n), where given, replace the matrices. ``x0`` (n,) is not needed.
         """
-        if not np.isfinite(q).all():
-            return QPResult("cost not finite", None, 0, np.inf)
-        if not (lower <= upper).all():  # False on NaN too
-            return QPResult("bounds crossed", None, 0, np.inf)
+        if (refused := unsolvable(q, lower, upper)) is not None:
+            return refused
         self._P = self._P if P is None else P.copy()
         self._A = self._A if A is None else A.copy()
         start = self._y if y0 is None else y0
@@ -94,9 +92,8 @@ class ActiveSetQP:
         reached = self._A @ x
         missed = float(max(np.max(lower - reached, initial=0.0), np.max(reached - upper, initial=0.0)))
         accepted = flag > 0 and bool(np.isfinite(x).all()) and missed <= PRIMAL_TOLERANCE
-        self._x = x if accepted else np.zeros_like(q)
         self._y = y if accepted else np.zeros(len(self._A))
         status = STATUS.get(int(flag), f"exit flag {flag}")
         if flag > 0 and not accepted:
             status = "not feasible"
-        return QPResult(status, self._x.copy() if accepted else None, int(info["iterations"]), missed)
+        return QPResult(status, x if accepted else None, int(info["iterations"]), missed)

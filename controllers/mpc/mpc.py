@@ -291,8 +291,7 @@ class MPC:
             u = limits.project(limits.offset + self._T @ problem.moves(self._plan)[0], self._commanded)
             acting = self._line(u)
             if z is not None:
-                applied = acting if self._linear else self.model.features(acting[None, :])[0]
-                self._estimator.predict(z, applied, self._products(z, acting))
+                self._estimator.predict(z, *self._forcing(z, acting))
                 predicted = problem.outputs(y_free, self._plan)
         self._commanded = u.copy()
         history.apply(acting)
@@ -354,9 +353,7 @@ class MPC:
     def _ahead(self, z: Array, w: Array) -> Array:
         """The lifted state (M,) once the commands on their way have acted, from ``z`` (M,) as measured now."""
         for u in self._line.coming():
-            products = self._products(z, u)
-            z = self.model.A @ z + self.model.B @ self.model.features(u[None, :])[0] + self.model.c + w
-            z = z if products is None else z + products
+            z = self._estimator.following(z, w, *self._forcing(z, u))
         return z
 
     def _response_along(self, z: Array, w: Array, v: Array, v_previous: Array) -> tuple[Array | None, Array]:
@@ -385,9 +382,10 @@ class MPC:
         S, y_features = self._linearise(u, v)
         return S, y_free + y_features
 
-    def _products(self, z: Array, u: Array) -> Array | None:
-        """What products of lifted states and inputs add to a step (M,), in a bilinear or re-lifted model."""
-        return self.model.products(z, u) if self.model.varies else None
+    def _forcing(self, z: Array, u: Array) -> tuple[Array, Array | None]:
+        """Features (P,) of the input, and what its products with lifted states add (M,), where the model has some."""
+        features = u if self._linear else self.model.features(u[None, :])[0]
+        return features, self.model.products(z, u) if self.model.varies else None
 
     def _linearise(self, u: Array, v: Array) -> tuple[Array, Array]:
         """S (H p, H r) and the constant part (H p,) of the outputs, for features linearised at u (H, m) = u(v)."""

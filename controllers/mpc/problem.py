@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pisplit.checks import Array
 from pisplit.controllers.mpc.active_set import ActiveSetQP
 from pisplit.controllers.mpc.limits import InputLimits
-from pisplit.controllers.mpc.qp import QP, ProgramSolver, QPResult, QPSettings, QPState
+from pisplit.controllers.mpc.qp import QP, QPResult, QPSettings, QPState
 
 RESCALE = 2.0  # change of the mean curvature, or of the reach, from which the problem is scaled anew
 
@@ -125,7 +125,7 @@ class TrackingProblem:
         self._S, self._specified = response, np.ones(H * self._p, dtype=bool)
         self._normalise, self._reach, self._multipliers = 0.0, 0.0, np.zeros(int(first[-1]))
         P = self._scaled()
-        self._qp: ProgramSolver
+        self._qp: QP | ActiveSetQP
         if settings.solver == "daqp":
             self._qp = ActiveSetQP(P, self._A, settings)
             self._beginning = self.snapshot()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import osqp
@@ -139,23 +139,29 @@ class QP:
         self._P, self._A, self._first = state.P.copy(), state.A.copy(), state.first
         self._x, self._y = state.x.copy(), state.y.copy()
         self._solver: Any = osqp.OSQP()
-        self._solver.setup(
-            self._P_pattern.matrix(self._P),
-            np.zeros(self._n),
-            self._A_pattern.matrix(self._A),
-            np.full(self._k, -1.0),
-            np.full(self._k, 1.0),
-            eps_abs=self._settings.eps,
-            eps_rel=self._settings.eps,
-            max_iter=self._settings.first_max_iterations if state.first else self._settings.max_iterations,
-            check_termination=10,
-            rho=state.rho,
-            adaptive_rho=True,
-            scaling=10,
-            polishing=False,
-            warm_starting=True,
-            verbose=False,
-        )
+        try:
+            self._solver.setup(
+                self._P_pattern.matrix(self._P),
+                np.zeros(self._n),
+                self._A_pattern.matrix(self._A),
+                np.full(self._k, -1.0),
+                np.full(self._k, 1.0),
+                eps_abs=self._settings.eps,
+                eps_rel=self._settings.eps,
+                max_iter=self._settings.first_max_iterations if state.first else self._settings.max_iterations,
+                check_termination=10,
+                rho=state.rho,
+                adaptive_rho=True,
+                scaling=10,
+                polishing=False,
+                warm_starting=True,
+                verbose=False,
+            )
+        except osqp.OSQPException as error:
+            raise ValueError(
+                f"the quadratic program cannot be factorised (OSQP's error {error}): the model's response is too large "
+                "over the horizon, or not finite; shorten it or regularise the fit"
+            ) from None
 
     def _bring(self, P: Array | None, A: Array | None) -> None:
         """New values of both matrices, under q = 0: how OSQP scales them must not depend on what was solved before."""
@@ -178,10 +184,8 @@ class QP:
 
         P (n, n) and A (k, n), where given, replace the values inside the patterns.
         """
-        if not np.isfinite(q).all():
-            return QPResult("cost not finite", None, 0, np.inf)
-        if not (lower <= upper).all():  # OSQP refuses the update and would solve the old problem; False on NaN too
-            return QPResult("bounds crossed", None, 0, np.inf)
+        if (refused := unsolvable(q, lower, upper)) is not None:  # OSQP would solve the old problem
+            return refused
         solver = self._solver
         if P is not None or A is not None:
             self._bring(P, A)
@@ -201,30 +205,13 @@ class QP:
         return QPResult(info.status, self._x.copy() if accepted else None, int(info.iter), float(info.prim_res))
 
 
-class ProgramSolver(Protocol):
-    """What solves one quadratic program after another; what a solve depends on is in its ``snapshot``."""
-
-    @property
-    def multipliers(self) -> Array:
-        """Lagrange multipliers (k,) of the last accepted solve, zeros before."""
-
-    def snapshot(self) -> QPState:
-        """The state from which ``restore`` goes on."""
-
-    def restore(self, state: QPState) -> None:
-        """Go on from a ``state`` of a program of the same size."""
-
-    def solve(
-        self,
-        q: Array,
-        lower: Array,
-        upper: Array,
-        P: Array | None = None,
-        A: Array | None = None,
-        x0: Array | None = None,
-        y0: Array | None = None,
-    ) -> QPResult:
-        """Solve for q (n,), lower and upper (k,) from x0 (n,), y0 (k,); P (n, n) and A (k, n) replace the values."""
+def unsolvable(q: Array, lower: Array, upper: Array) -> QPResult | None:
+    """Why no solver is asked for the cost q (n,) and the bounds lower, upper (k,); None if one is."""
+    if not np.isfinite(q).all():
+        return QPResult("cost not finite", None, 0, np.inf)
+    if not (lower <= upper).all():  # False on NaN too
+        return QPResult("bounds crossed", None, 0, np.inf)
+    return None
 
 
 @dataclass(frozen=True)

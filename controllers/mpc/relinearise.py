@@ -55,6 +55,9 @@ class AlongPlan:
         S, y = np.zeros((H, p, H * r)), np.empty((H, p))
         sensitivity = np.zeros((model.n_lifted, 0))
         for j in range(H):
+            if not np.isfinite(z).all():  # the products have overflown: the problem says so, no exception
+                S[j:], y[j:] = np.nan, np.nan
+                break
             by_state, by_input = model.jacobian(z, u[j])
             sensitivity = np.hstack([by_state @ sensitivity, by_input @ T])
             z = model.step(z, u[j]) + w

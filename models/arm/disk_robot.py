@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pisplit import Episodes
 from pisplit.checks import Array, count, non_negative
 from pisplit.data.actuator import Actuator
 from pisplit.models import rod
 from pisplit.models.arm.recording import make_episodes, random_targets
-from pisplit.models.arm.resting import RestShapes
+from pisplit.models.arm.resting import RestShapes, turned
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
 
@@ -94,7 +93,8 @@ class DiskRobot:
             )
         rng = np.random.default_rng(np.random.SeedSequence(count(seed, "seed", 0), spawn_key=(11,)))
         units = np.array(made.units)
-        found = replace(made, xs=[self._measured(x, units, rng) for x in made.xs], extra=None)
+        told = {**(made.provenance or {}), "noise": dict(self.noise), "noise_angle": self.noise_angle}
+        found = replace(made, xs=[self._measured(x, units, rng) for x in made.xs], extra=None, provenance=told)
         if path is not None:
             found.save(path)
         return found
@@ -127,11 +127,9 @@ class DiskRobot:
         """States (T, n) of these ``units`` with noise; frames are turned, so that they stay rotations."""
         std = np.array([non_negative(self.noise.get(unit, 0.0), f"noise of {unit!r}") for unit in units])
         y = x + std * rng.standard_normal(x.shape)
+        fields = y.reshape(len(y), -1, N_FIELDS)  # a view
         if self.noise_angle > 0.0:
-            for first in range(0, x.shape[1], N_FIELDS):
-                frame = slice(first + 3, first + 12)
-                turns = Rotation.from_rotvec(self.noise_angle * rng.standard_normal((len(x), 3))).as_matrix()
-                y[:, frame] = (x[:, frame].reshape(-1, 3, 3) @ turns).reshape(len(x), 9)
+            fields[..., 3:12] = turned(fields[..., 3:12], self.noise_angle, rng)
         return y
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit import Episodes, RolloutErrors
-from pisplit.checks import Array, check_same_step, finite_array, positive
-from pisplit.data.actuator import Actuator, ActuatorState
+from pisplit.checks import Array, check_same_step, count, finite_array, positive
+from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
 from pisplit.evaluation.rollouts import squared_unit
 from pisplit.models.arm.base import Arm
+from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
+
+#: Distance of measured points from those of the arm, in parts of its length, beyond which it is another arm's shape.
+STRANGE = 0.02
 
 
 class ArmPredictor:
@@ -34,17 +39,20 @@ class ArmPredictor:
 
     def __init__(self, arm: Arm, dt: float, stations: int = 6, actuator: Actuator | None = None) -> None:
         self.arm, self.dt, self.stations = arm, positive(dt, "dt", "s"), stations
-        self.actuator = Actuator() if actuator is None else actuator
+        self.actuator = Actuator() if actuator is None else checked_actuator(actuator)
         self._coordinates = arm.scene.coordinates(stations).function
         self._stepper: Any = arm.scene.fast_stepper(dt=self.dt, stations=stations)
         found = arm.scene.field_map(stations)
         self.state_names, self.outputs = tuple(found.names), dict(found.outputs)
+        self.state_units = tuple(UNITS[q] for q in found.quantities)
 
     def predict(self, x0: ArrayLike, inputs: ArrayLike, before: ArrayLike | None = None) -> Array:
-        """States (T+1, n) under ``inputs`` (T, m) from the fields ``x0`` (n,); they end where the motion fails.
+        """States (T+1, n) under ``inputs`` (T, m) from the fields ``x0`` (n,).
 
         ``before`` (D, m): the commands up to the start, the last of them the present one, from rest; the arm's rest if
-        not given. Raises ValueError for other shapes.
+        not given. Warns where the motion fails, at which the states end, and where ``x0`` is no shape of this arm: its
+        points are more than 2 % of the length away from those of the strains that fit it best. Raises ValueError for
+        other shapes.
         """
         m = self.arm.scene.n_inputs
         u = finite_array(inputs, "inputs", (None, m))
@@ -57,6 +65,16 @@ class ArmPredictor:
         start = np.concatenate([rod, moved[len(past) - 1]])
         found = self._stepper.run(moved[len(past) :], start, check=False)
         fields = found.fields(self.stations).reshape(len(found.x), -1)
+        points = (fields[0] - x).reshape(-1, N_FIELDS)[:, :3]
+        away = float(np.linalg.norm(points, axis=1).max()) / self.arm.scene.rod.length
+        if away > STRANGE:
+            warnings.warn(
+                f"the state at the start is no shape of this arm: off by {100 * away:.2g} % of its length; "
+                "give the arm that was measured, and states in its units",
+                stacklevel=2,
+            )
+        if not found.success:
+            warnings.warn(f"the motion ends after {len(fields) - 1} of {len(u)} steps: {found.message}", stacklevel=2)
         fields[0] = x
         return np.asarray(fields)
 
@@ -68,7 +86,11 @@ class ArmPredictor:
         columns or time step.
         """
         check_same_step(episodes.dt, self.dt, "the episodes have", "the predictor")
-        data = episodes.arranged(self.state_names, self.arm.scene.input_names, owner="the arm")
+        scene = self.arm.scene
+        data = episodes.arranged(
+            self.state_names, scene.input_names, self.state_units, scene.input_units, owner="the arm"
+        )
+        count(start, "start", 0)
         if states is not None and states not in self.outputs:
             raise ValueError(f"states = {states!r}; expected one of {', '.join(map(repr, self.outputs))}, or None")
         chosen = np.arange(data.n_states) if states is None else np.array(self.outputs[states])
@@ -84,5 +106,5 @@ class ArmPredictor:
             errors[:reached] = (missed**2).sum(axis=1)
             squared.append(errors)
             diverged.append(reached < len(errors))
-        units = episodes.units or ("",) * episodes.n_states
-        return RolloutErrors(tuple(squared), np.array(diverged), squared_unit([units[int(i)] for i in chosen]))
+        unit = squared_unit([self.state_units[int(i)] for i in chosen])
+        return RolloutErrors(tuple(squared), np.array(diverged), unit)

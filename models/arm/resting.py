@@ -116,10 +116,17 @@ def rest_shapes(
     y = arm.scene.fields(found.states[kept], stations)
     std, angle = non_negative(position_noise, "position_noise", "m"), non_negative(angle_noise, "angle_noise", "rad")
     y[..., :3] += std * rng.standard_normal(y[..., :3].shape)
-    turns = Rotation.from_rotvec(angle * rng.standard_normal((wanted * stations, 3))).as_matrix()
-    frames = y[..., 3:12].reshape(-1, 3, 3) @ turns
-    y[..., 3:12] = frames.reshape(wanted, stations, 9)
+    y[..., 3:12] = turned(y[..., 3:12], angle, rng)
     return RestShapes(u[kept], y.reshape(wanted, -1), max(std, 1e-4), max(angle, 2e-3))
+
+
+def turned(frames: Array, angle: float, rng: np.random.Generator) -> Array:
+    """``frames`` (..., 9), row by row, each turned at random: standard deviation ``angle`` in rad about every axis.
+
+    ``rng`` draws; rotations stay rotations.
+    """
+    turns = Rotation.from_rotvec(angle * rng.standard_normal((frames[..., 0].size, 3))).as_matrix()
+    return np.asarray((frames.reshape(-1, 3, 3) @ turns).reshape(frames.shape))
 
 
 def plot_at_rest(arm: Arm, u: ArrayLike | None, title: str) -> Figure:

@@ -68,7 +68,7 @@ def _loaded(source: Path, wanted: Sequence[str]) -> Mapping[str, Any]:
     with source.open("rb") as file:  # what cannot be opened says so itself
         try:
             content: Mapping[str, Any] = loadmat(file, variable_names=list(wanted))
-        except (MatReadError, ValueError, NotImplementedError, TypeError, OSError):
+        except (MatReadError, ValueError, NotImplementedError, TypeError, OSError):  # scipy's, for v7.3 and damage
             raise ValueError(f"{source} is no MATLAB file up to version 7.2; save it with '-v7'") from None
     missing = [name for name in wanted if name not in content]
     if missing:

@@ -19,6 +19,7 @@ from pisplit.data import store
 from pisplit.data.columns import in_order
 from pisplit.data.rows import frozen, refrozen
 from pisplit.dictionary.products import BilinearTerm, Transition, runs, span
+from pisplit.lifted.propagation import propagate, propagate_bilinear, propagate_relifted
 from pisplit.lifted.relifting import ReliftedTerm
 from pisplit.mapping import Mapped
 
@@ -382,11 +383,11 @@ class LiftedModel:
             z[1:, :, driven] += (features @ self.B[driven].T).transpose(1, 0, 2)
         with np.errstate(over="ignore", invalid="ignore"):
             if self.relifted is not None:
-                _propagate_relifted(self, z, inputs)
+                propagate_relifted(self._transition, self.relifted, self.bilinear_term, z, inputs)
             elif self.bilinear_term is not None:
-                _propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
+                propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
             else:
-                _propagate(self._transition, z)
+                propagate(self._transition, z)
             x = (z[..., self._selected] if self._selected is not None else z @ self.C.T + self.d).transpose(1, 0, 2)
             z = z.transpose(1, 0, 2)
             within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
@@ -402,36 +403,6 @@ _ARRAYS = ("A", "B", "c", "C", "d", "input_offset", "input_basis", "state_range"
 _FUNCTIONS = ("lift_function", "input_function")
 _NAMES = ("state_names", "input_names", "column_names", "feature_names")
 _UNITS = ("state_units", "input_units")
-
-
-def _propagate(transition: Transition, z: Array) -> None:
-    """z_{k+1} += A z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
-    if z.shape[1] > 1:
-        for k in range(len(z) - 1):
-            transition.add(z[k], z[k + 1])
-        return
-    dot = transition if transition.structured else transition.matrix.dot
-    previous = z[0, 0]
-    for current in z[1:, 0]:
-        current += dot(previous)
-        previous = current
-
-
-def _propagate_bilinear(transition: Transition, term: BilinearTerm, z: Array, inputs: Array) -> None:
-    """z_{k+1} += A z_k + sum_i u_i N_i z_k for E episodes; z (T+1, E, M) holds the forcing on entry."""
-    for k in range(len(z) - 1):
-        transition.add(z[k], z[k + 1])
-        z[k + 1][:, term.rows] += term(z[k], inputs[:, k])
-
-
-def _propagate_relifted(model: LiftedModel, z: Array, inputs: Array) -> None:
-    """z_{k+1} += A z_k + sum_i u_i N_i z_k + g(z_k, u_k) for E episodes; z (T+1, E, M) holds the forcing on entry."""
-    term, bilinear = model.relifted, model.bilinear_term
-    assert term is not None
-    for k in range(len(z) - 1):
-        z[k + 1] += z[k] @ model.A.T + term(z[k], inputs[:, k])
-        if bilinear is not None:
-            z[k + 1][:, bilinear.rows] += bilinear(z[k], inputs[:, k])
 
 
 def _units(given: Sequence[str] | None, what: str, size: int) -> tuple[str, ...]:

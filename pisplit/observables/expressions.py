@@ -96,7 +96,7 @@ def _written(values: Callable[[Symbol, Symbol], Symbol], n: int, m: int) -> ca.F
 
     try:
         return written(ca.SX)
-    except (RuntimeError, NotImplementedError):
+    except (RuntimeError, NotImplementedError):  # CasADi's ways to say that a Function inside takes no SX
         return written(ca.MX)
 
 

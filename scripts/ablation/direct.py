@@ -7,14 +7,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from ablation.scenarios import STATIONS, Scenario, equilibria, scenarios
+from ablation.scenarios import STATIONS, equilibria, scenarios
 from ablation.shared import compact
-from ablation.twin import DAMPING_PAIRS, MOVING, RESTING, errors_of
+from ablation.twin import DAMPING_PAIRS, MOVING, RESTING, errors_of, recordings
 from common.data import DT
 from common.protocol import HISTORY, Draw, Prediction, Predictor
 from pisplit import Episodes
-from pisplit.checks import Array
-from pisplit.data.actuator import Actuator, ActuatorState
+from pisplit.data.actuator import Actuator
 from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.fit import calibrate_from_shapes
@@ -39,7 +38,7 @@ class DirectMethod:
         shapes = equilibria(scenario.name, self.seed)
         guess = from_shapes(scenario.name, self.seed)
         servo = _scanned(guess, draw.held_out)
-        fields, moves = _served(small, scenario, min(DAMPING_PAIRS, len(small)), servo)
+        fields, moves = recordings(small, scenario, min(DAMPING_PAIRS, len(small)), servo)
         try:
             found = calibrate_from_recordings(
                 scenario.known,
@@ -105,14 +104,3 @@ def _scanned(arm: TendonArm, held: Episodes) -> Actuator:
         lag = min(LAGS, key=lambda v: _cost(arm, Actuator(lag=v, play=play), held))
         play = min(PLAYS, key=lambda v: _cost(arm, Actuator(lag=lag, play=v), held))
     return Actuator(lag=lag, play=play)
-
-
-def _served(draw: Draw, scenario: Scenario, count: int, servo: Actuator) -> tuple[Array, Array]:
-    """As ``recordings`` of the twin, with displacements behind the servos."""
-    fields, moves, rest = [], [], scenario.known.rest_inputs
-    start = ActuatorState.at(rest)
-    served = [np.vstack([rest, servo.simulate(u, DT, start)[0]]) for u in draw.episodes.us]
-    for episode, k in draw.rows[:count]:
-        fields.append(draw.episodes.xs[episode][k - HISTORY : k + 2])
-        moves.append(served[episode][k - HISTORY : k + 2])
-    return np.stack(fields), np.stack(moves)

@@ -24,6 +24,7 @@ from pisplit.models.arm.recording import (
     random_displacements,
     random_targets,
 )
+from pisplit.models.arm.resting import turned
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.fit import nominal_parameters
 from pisplit.models.calibration.parametrised import TendonParameters
@@ -203,9 +204,8 @@ def noisy(episodes: Episodes, factor: float, seed: int) -> Episodes:
     for x in episodes.xs:
         y = x.copy()
         y[:, groups["p"]] += factor * NOISE["p"] * rng.standard_normal((len(x), len(groups["p"])))
-        turns = Rotation.from_rotvec(factor * NOISE["R"] * rng.standard_normal((len(x) * STATIONS, 3)))
-        frames = x[:, groups["R"]].reshape(-1, 3, 3) @ turns.as_matrix()
-        y[:, groups["R"]] = frames.reshape(len(x), -1)
+        frames = x[:, groups["R"]].reshape(len(x), STATIONS, 9)
+        y[:, groups["R"]] = turned(frames, factor * NOISE["R"], rng).reshape(len(x), -1)
         for q in ("w", "q", "omega"):
             y[:, groups[q]] += factor * NOISE["rates"] * spread[q] * rng.standard_normal((len(x), len(groups[q])))
         changed.append(y)

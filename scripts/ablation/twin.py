@@ -16,8 +16,9 @@ from common.data import DT
 from common.protocol import HISTORY, Draw, Lifted, Predictor
 from pisplit import Dictionary, Episodes, TwinEDMDc
 from pisplit.checks import Array
+from pisplit.data.actuator import Actuator
 from pisplit.files import replacing
-from pisplit.models.arm.recording import EQUATIONS, make_episodes
+from pisplit.models.arm.recording import EQUATIONS, NO_ACTUATOR, make_episodes
 from pisplit.models.arm.twin import OMIT, PLAIN, twin_alone, twin_dictionaries, twin_dictionary
 from pisplit.models.calibration.fit import (
     Calibration,
@@ -168,12 +169,16 @@ def from_recordings(scenario: Scenario, draw: Draw, seed: int) -> Calibration:
 _RECORDED: dict[tuple[str, int, str], Calibration] = {}
 
 
-def recordings(draw: Draw, scenario: Scenario, count: int) -> tuple[Array, Array]:
-    """Fields (N, 6, 144) of the first pairs of a draw with their four steps of history, and displacements (N, 6, m)."""
+def recordings(draw: Draw, scenario: Scenario, count: int, actuator: Actuator = NO_ACTUATOR) -> tuple[Array, Array]:
+    """Fields (N, 6, 144) of the first pairs of a draw with their four steps of history, and displacements (N, 6, m).
+
+    ``actuator``: servos that stand between commands and displacements.
+    """
     fields, moves = [], []
+    served = draw.episodes.through(actuator, scenario.known.rest_inputs).us
     for episode, k in draw.rows[:count]:
         x = draw.episodes.xs[episode]
-        servo = np.vstack([scenario.known.rest_inputs, draw.episodes.us[episode]])  # where it is at every instant
+        servo = np.vstack([scenario.known.rest_inputs, served[episode]])  # where it is at every instant
         fields.append(x[k - HISTORY : k + 2])
         moves.append(servo[k - HISTORY : k + 2])
     return np.stack(fields), np.stack(moves)
