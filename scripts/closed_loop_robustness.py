@@ -177,7 +177,7 @@ def draw(found: dict[str, tuple[float, float | None]], path: Path) -> None:
     for row, name in enumerate(names):
         error, target = found[name]
         axes.barh(row, error, color="0.6" if "no filter" in name else "C0")
-        axes.text(1.05 * error, row, f"{error:.2g} mm", va="center", fontsize=8)
+        axes.text(1.05 * error, row, f"{error:.2f} mm" if error < 10.0 else f"{error:.0f} mm", va="center", fontsize=8)
         if target is not None:
             axes.plot([target, target], [row - 0.4, row + 0.4], color="C3", lw=2.0)
     axes.set_yticks(range(len(names)), names)

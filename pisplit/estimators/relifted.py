@@ -1,4 +1,7 @@
-"""EDMDc whose dictionary is evaluated anew at every step: data alone, and the stronger baseline where they are many."""
+"""EDMDc whose dictionary is evaluated anew at every step: data alone, and the stronger baseline where they are many.
+
+With few noisy pairs it is the weaker one (docs/ablation.md).
+"""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ablation.direct import DirectMethod, from_shapes
+from ablation.direct import DirectMethod
 from ablation.scenarios import STATIONS, excitation, scenarios
 from ablation.shared import best, compact, quietly
 from ablation.twin import TWIN_EPISODES, TwinMethod
@@ -119,7 +119,7 @@ class InRodCoordinates:
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs of a draw."""
-        small, physics = compact(draw), physics_of(draw.law, self.seed)
+        small, physics = compact(draw), physics_of(draw.law)
         theta = physics.dictionary()
         fit = self.estimator(theta, alpha="cv", alphas=RIDGES, cv_states="shape")
         return Kinematic(quietly(fit.fit, small.episodes, small.pairs(theta.n_delays)).lifted, physics)
@@ -165,7 +165,7 @@ class Splitting:
 
     def __call__(self, draw: Draw) -> Predictor:
         """Fit to the pairs and phase-space samples of a draw."""
-        small, physics = compact(draw), physics_of(draw.law, self.seed)
+        small, physics = compact(draw), physics_of(draw.law)
         theta, options = physics.dictionary(), physics.options()
         if self.split == "balanced":
             options = {name: options[name] for name in ("tangent", "equilibrium", "ports")}
@@ -178,14 +178,13 @@ class Splitting:
 
 
 @lru_cache(maxsize=16)
-def physics_of(name: str, seed: int) -> ArmPhysics:
-    """Measured equilibria of the arm, and the backbone as it is known; of a foreign arm what 16 shapes at rest say."""
+def physics_of(name: str) -> ArmPhysics:
+    """Measured equilibria of the arm, and the backbone as it is known; of a foreign arm its drawing."""
     scenario = scenarios()[name]
     if scenario.law != "zero-sum":
         raise ValueError("the table of equilibria is over differential displacements; this law pulls tendons freely")
     if scenario.foreign:
-        arm = from_shapes(name, seed)
-        return ArmPhysics(equilibrium_table(arm, TABLE_WIDTH * arm.amplitude), STATIONS)
+        return ArmPhysics(equilibrium_table(scenario.known, TABLE_WIDTH * scenario.known.amplitude), STATIONS)
     measured: EquilibriumTable = equilibrium_table(scenario.arm, TABLE_WIDTH * scenario.arm.amplitude)
     return ArmPhysics(replace(measured, arm=scenario.known), STATIONS)
 
