@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 SOURCES := $(shell find pisplit models controllers -name '*.py')
 ARGS ?=
 
-.PHONY: demo test lint bench mutants clean
+.PHONY: demo test lint bench docs mutants clean
 
 demo: $(VENV)/.package
 	$(BIN)/python scripts/mpc_demo.py $(ARGS)
@@ -22,6 +22,16 @@ lint: $(VENV)/.package
 
 bench: $(VENV)/.package
 	$(BIN)/python scripts/benchmarks/benchmark.py $(ARGS)
+
+# Pages and reference into out/docs/index.html, without network; what Sphinx warns of, broken links first, is an error.
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going -j auto -b html docs out/docs $(ARGS)
+
+$(VENV)/.docs: $(VENV)/.package
+	$(BIN)/pip install --quiet ".[docs]"
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --force-reinstall .
+	rm -rf build
+	touch $@
 
 # At most 30 minutes on two idle cores; goes on where it was stopped (docs/testing.md).
 mutants: $(VENV)/.package

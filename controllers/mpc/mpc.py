@@ -101,7 +101,7 @@ class MPC:
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear or
     re-lifted model is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model,
     and on settings that would have no effect. Controllers can be pickled and copied, also between steps: a copy goes on
-    to the last bit as the original would; so does one that was ``restore``d from a ``snapshot``.
+    to the last bit as the original would; so does one that took a ``snapshot`` by ``restore``.
 
     Source: Rawlings, Mayne and Diehl, Model Predictive Control (2017), chapter 1; Korda and Mezic, Automatica 93
     (2018).
