@@ -147,7 +147,7 @@ def test_an_outlier_is_as_good_as_a_gap_until_it_is_no_outlier() -> None:
     wrong, gap = first.step([far, 0.0, 0.0], window), second.step([np.nan, 0.0, 0.0], window)
     assert wrong.rejected == 1 and gap.rejected == 0
     np.testing.assert_array_equal(wrong.u, gap.u)
-    rejected = [first.step([far, 0.0, 0.0], window).rejected for _ in range(14)]
+    rejected = [first.step([far + 0.01 * k, 0.0, 0.0], window).rejected for k in range(14)]
     assert sum(rejected[:11]) == 11 and rejected[11] == 0  # a dozen in a row: the model is wrong
 
 

@@ -35,6 +35,7 @@ def log(units: tuple[str, ...], y: Array, reference: Array, **changes: object) -
         plant_time=np.array([0.0051, 0.0051]),
         missing=np.zeros(2, dtype=int),
         rejected=np.zeros(2, dtype=int),
+        stuck=np.zeros(2, dtype=int),
         limit_violations=0,
     )
     return replace(made, **changes)  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 
 import numpy as np
@@ -22,6 +23,12 @@ class History:
         self.inputs = np.tile(u0, (n_delays, 1))
         self.u_previous = np.array(u0)
         self._empty = True
+
+    def copy(self) -> History:
+        """A history that goes on apart from this one."""
+        other = copy.copy(self)
+        other.states, other.inputs = self.states.copy(), self.inputs.copy()
+        return other
 
     def measure(self, x: Array) -> None:
         """Append the state ``x`` (n,) measured now."""

@@ -38,7 +38,8 @@ class LoopLog:
     ``input_units`` (m,) in the order of the model; a unit is "" where nobody told it.
     Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
     ``plant_time`` [s]; ``missing`` and ``rejected``: how many entries of the measurement that the move answers to were
-    not there, and how many the observer did not believe.
+    not there, and how many the observer did not believe; ``stuck``: how many of the missing came from sensors that
+    repeated themselves while the arm must have moved. ``x`` is NaN there, and ``notes`` name the states.
     ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
     ``message``: why the run ended early, empty otherwise; the arrays hold what was run. ``notes``: what else is to be
     known, e.g. a reference far outside the training data.
@@ -63,6 +64,7 @@ class LoopLog:
     plant_time: Array
     missing: Array
     rejected: Array
+    stuck: Array
     limit_violations: int
     message: str = ""
     notes: tuple[str, ...] = ()
@@ -153,6 +155,10 @@ class LoopLog:
             lines.append(f"{gaps} steps with missing measurements, {int(self.missing.sum())} entries in all, bridged")
         if self.rejected.any():
             lines.append(f"{np.count_nonzero(self.rejected)} steps with rejected measurements")
+        if self.stuck.any():
+            lines.append(
+                f"{np.count_nonzero(self.stuck)} steps with stuck sensors, {int(self.stuck.sum())} entries in all"
+            )
         lines += self.notes
         if self.stopped:
             lines.append(f"stopped: {self.message}")
@@ -202,9 +208,7 @@ class LoopLog:
                     parts[item.name] = store.read_strings(file, item.name)
                 elif item.name == "message":
                     parts[item.name] = store.read_text(file, item.name)
-                elif (
-                    item.name in ("missing", "rejected") and item.name not in file
-                ):  # of a version that stopped at the first gap
+                elif item.name in _COUNTS and item.name not in file:  # of a version that did not count them
                     parts[item.name] = np.zeros(len(file["u"]), dtype=int)
                 else:
                     parts[item.name] = np.asarray(file[item.name][()])
@@ -220,6 +224,7 @@ class LoopLog:
         return np.asarray(np.sqrt((np.where(np.isnan(wanted), 0.0, y - wanted) ** 2).sum(axis=1)))
 
 
+_COUNTS = ("missing", "rejected", "stuck")
 _TEXTS = ("state_names", "input_names", "state_units", "input_units", "statuses", "notes")
 
 

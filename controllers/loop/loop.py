@@ -18,7 +18,7 @@ from pisplit.checks import Array, count
 from pisplit.controllers.loop.log import INTERRUPTED, LoopLog
 from pisplit.controllers.loop.plant import Plant
 from pisplit.controllers.loop.recorder import Recorder
-from pisplit.controllers.loop.tracking import Controller, start_input
+from pisplit.controllers.loop.tracking import Controller, Move, start_input
 from pisplit.controllers.loop.wiring import wire
 from pisplit.controllers.references import Reference
 
@@ -168,6 +168,7 @@ class ClosedLoop:
                 else:
                     state = self._wiring.measured(after.state)
                     problem = _fault(state, self.controller)
+                self._name_stuck(move, k * dt)
                 if problem:  # the input that broke the plant belongs to no completed step
                     record.message = _at(k, first + steps, dt) + f"the plant {problem}"
                     break
@@ -182,6 +183,21 @@ class ClosedLoop:
             record.message = _at(k, first + steps, dt) + f"{where} raised {type(error).__name__}"
             raise
         return self.log
+
+    def _name_stuck(self, move: Move, t: float) -> None:
+        """A note on sensors that the controller found stuck for the first time."""
+        record = self._recorded()
+        new = [i for i in move.stuck if i not in record.stuck]
+        if new:
+            record.stuck.update(new)
+            names = [self.controller.model.state_names[i] for i in new]
+            more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+            note = (
+                f"stuck sensors at t = {t:.2f} s: {', '.join(names[:6])}{more} repeated one value while the inputs "
+                "moved; taken as not measured until they change"
+            )
+            record.notes.append(note)
+            warnings.warn(note, stacklevel=4)
 
     def _warn_if_far(self) -> None:
         """A reference far outside the training data is probably in another unit."""

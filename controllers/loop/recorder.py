@@ -19,7 +19,8 @@ LIMIT_TOLERANCE = 1e-9
 @dataclass(eq=False)
 class Recorder:
     """A run: its ``reference``, bound to the start, and its samples ``wanted`` (so far); ``u0`` (m,); states ``x``,
-    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` [s] each; ``message`` and ``notes`` as in the log."""
+    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` [s] each; ``message`` and ``notes`` as in the log;
+    ``stuck``: states that were found stuck."""
 
     reference: Reference
     wanted: Array
@@ -30,6 +31,7 @@ class Recorder:
     plant_time: list[float] = field(default_factory=list)
     message: str = ""
     notes: list[str] = field(default_factory=list)
+    stuck: set[int] = field(default_factory=set)
 
     def copy(self) -> Recorder:
         """A record that goes on apart from this one."""
@@ -37,6 +39,7 @@ class Recorder:
 
     def add(self, move: Move, u: Array, plant_time: float, x: Array) -> None:
         """A completed step: ``move``, applied input ``u`` (m,), ``plant_time`` [s], state ``x`` (n,) after it."""
+        self.x[-1][list(move.stuck)] = np.nan
         self.moves.append(move)
         self.u.append(u)
         self.plant_time.append(plant_time)
@@ -67,6 +70,7 @@ class Recorder:
             plant_time=np.array(self.plant_time[:N]),
             missing=np.array([move.missing for move in moves], dtype=int),
             rejected=np.array([move.rejected for move in moves], dtype=int),
+            stuck=np.array([len(move.stuck) for move in moves], dtype=int),
             limit_violations=_count_violations(u, self.u0, controller),
             message=self.message,
             notes=tuple(self.notes),

@@ -22,7 +22,8 @@ class Move:
     solve, after so many ``iterations``. ``fallback``: True if u comes from the last good plan instead. ``solve_time``:
     wall time of the whole step [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs
     expected under the plan. ``missing``: entries of the measurement that were not there (NaN), for which the model's
-    prediction stood; ``rejected``: those that an observer did not believe.
+    prediction stood; ``rejected``: those that an observer did not believe. ``stuck``: states whose sensors repeat
+    themselves while the arm must have moved; they count as missing.
     """
 
     u: Array
@@ -34,6 +35,7 @@ class Move:
     predicted: Array
     missing: int = 0
     rejected: int = 0
+    stuck: tuple[int, ...] = ()
 
 
 class Controller(Protocol):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 import time
 import warnings
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,7 @@ from scipy.sparse.linalg import ArpackError, eigs
 from pisplit.checks import Array, count, non_negative, positive, real_array
 from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
 from pisplit.controllers.estimation.kalman import KalmanFilter
+from pisplit.controllers.estimation.stuck import StuckSensors, StuckState
 from pisplit.controllers.loop.history import History, Line
 from pisplit.controllers.loop.tracking import (
     Move,
@@ -39,6 +41,21 @@ GROWTH_LIMIT = 100.0
 GAIN = 0.3  # of the disturbance estimate, where there is no delay
 #: Steps in a row in which an entry of the measurement may be rejected; then the model is wrong, and not the sensor.
 PATIENCE = 12
+#: So many times the repeats after which a reading is stuck are the steps that can be taken in anew.
+MEMORY = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What a step began with: ``history``, ``estimator``, ``readout`` and ``doubts`` as in the state of an MPC, what
+    was ``measured`` (n,), and the input ``acting`` (m,) after it."""
+
+    history: History
+    estimator: EstimatorState
+    readout: Array | None
+    doubts: NDArray[np.int64]
+    measured: Array
+    acting: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +65,8 @@ class MPCState:
     ``history`` of delays, last ``plan`` (None before the first), states of the disturbance ``estimator`` and of the
     ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None before it; steps ``blind``
     since anything was measured; ``doubts`` (p,), steps for which the observer rejected each of its entries; ``line`` of
-    commands on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first.
+    commands on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first;
+    ``stuck``, what is known of sensors that repeat themselves, and the ``past`` steps that are forgotten where they do.
     """
 
     history: History
@@ -61,6 +79,8 @@ class MPCState:
     line: tuple[Array, ...]
     commanded: Array
     wanted: Array | None
+    stuck: StuckState | None
+    past: tuple[Past, ...]
 
 
 class MPC:
@@ -98,6 +118,9 @@ class MPC:
     For models of the plant without these delays: one that was fitted to recordings with them has them inside. The
     ``horizon`` attribute, the samples of the reference that ``step`` takes, grows by what the delay of commands needs.
 
+    ``stuck_after``: a reading that repeats itself exactly so many times, while the inputs moved and the model predicts
+    that it changed, is taken for not measured until it changes (``Move.stuck`` names it); None trusts all readings.
+
     A model that is nonlinear in u is linearised along the shifted last plan, one SQP step per move; a bilinear or
     re-lifted model is rolled out along it and condensed anew. Raises ValueError on arguments that do not fit the model,
     and on settings that would have no effect. Controllers can be pickled and copied, also between steps: a copy goes on
@@ -130,6 +153,7 @@ class MPC:
         observer: KalmanFilter | None = None,
         command_delay: float = 0.0,
         measurement_delay: float = 0.0,
+        stuck_after: int | None = 5,
     ) -> None:
         self.model = model = model_of(model, "model")
         self._H = count(horizon, "horizon")
@@ -149,6 +173,7 @@ class MPC:
         self._history: History
         self._readout: Array | None
         self._wanted: Array | None
+        self._past: deque[Past]
         if observer is not None and observer.model is not model:
             raise ValueError("the observer is of another model; make it with KalmanFilter.from_data(model, ...)")
         self._observer = observer
@@ -177,6 +202,7 @@ class MPC:
                 "output_slack_weight has no effect without y_min or y_max; give one of them or leave it out"
             )
         limits = self._limits
+        self._stuck = None if stuck_after is None else StuckSensors(stuck_after, model.state_range, limits.amplitude)
         self._T = limits.basis * limits.amplitude.mean()
         self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.varies else None
         centre = limits.offset + limits.basis @ limits.coordinates(0.5 * (limits.u_min + limits.u_max))
@@ -234,7 +260,19 @@ class MPC:
         wanted = None if self._wanted is None else self._wanted.copy()
         counts = self._blind, self._doubts.copy()
         line, commanded = self._line.own(), self._commanded.copy()
-        return MPCState(copy.deepcopy(self._history), plan, *parts, readout, *counts, line, commanded, wanted)
+        stuck = None if self._stuck is None else self._stuck.snapshot()
+        return MPCState(
+            copy.deepcopy(self._history),
+            plan,
+            *parts,
+            readout,
+            *counts,
+            line,
+            commanded,
+            wanted,
+            stuck,
+            tuple(self._past),
+        )
 
     def restore(self, state: MPCState) -> None:
         """Go on, to the last bit, from a ``state`` that a controller with the same arguments took by ``snapshot``.
@@ -252,6 +290,9 @@ class MPC:
         self._line.take(state.line)
         self._commanded = state.commanded.copy()
         self._wanted = None if state.wanted is None else state.wanted.copy()
+        if self._stuck is not None and state.stuck is not None:
+            self._stuck.restore(state.stuck)
+            self._past = deque(state.past, self._past.maxlen)
 
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
         """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (``horizon``, p) of k+1 on.
@@ -266,7 +307,9 @@ class MPC:
         window = checked_window(reference_window, self.horizon, len(self.tracked))
         r = self._latency.wanted(window, window[0] if self._wanted is None else self._wanted).ravel()
         measured = checked_measurement(in_order(x_measured, self.model.state_names, "states"), self.model.n_states)
+        measured, stuck = self._without_stuck(measured)
         problem, limits, history = self._problem, self._limits, self._history
+        kept = None if self._stuck is None else self._kept(measured)
         missing = int(np.count_nonzero(np.isnan(measured)))
         self._blind = self._blind + 1 if missing == len(measured) else 0
 
@@ -292,6 +335,8 @@ class MPC:
             acting = self._line(u)
             if z is not None:
                 self._estimator.predict(z, *self._forcing(z, acting))
+                if kept is not None:
+                    self._past.append(replace(kept, acting=acting))
                 predicted = problem.outputs(y_free, self._plan)
         self._commanded = u.copy()
         history.apply(acting)
@@ -305,7 +350,49 @@ class MPC:
             predicted=predicted,
             missing=missing,
             rejected=rejected,
+            stuck=stuck,
         )
+
+    def _without_stuck(self, measured: Array) -> tuple[Array, tuple[int, ...]]:
+        """The measurement (n,), NaN where a reading is stuck, and which those are."""
+        watch, z = self._stuck, self._estimator.predicted
+        if watch is None:
+            return measured, ()
+        model, missed = self.model, self._readout
+
+        def predicted(states: NDArray[np.intp]) -> Array:
+            assert z is not None and missed is not None
+            return np.asarray(model.C[states] @ z + model.d[states] + missed[states])
+
+        known = z is not None and missed is not None and np.isfinite(z).all()
+        before = watch.known
+        found = watch(measured, self._commanded, predicted if known else None)
+        if not found.any():
+            return measured, ()
+        new = found & ~before
+        if new.any():
+            self._unlearn(new, watch.since(new))
+        return np.where(found, np.nan, measured), tuple(np.flatnonzero(found).tolist())
+
+    def _unlearn(self, stuck: NDArray[np.bool_], samples: int) -> None:
+        """Take the last ``samples`` in anew, without what the ``stuck`` readings (n,) said: they said nothing."""
+        again = list(self._past)[-samples:] if samples else []
+        for k, past in enumerate(again):
+            if k == 0:
+                self._history, self._readout, self._doubts = past.history.copy(), past.readout, past.doubts
+                self._estimator.restore(past.estimator)
+            measured = np.where(stuck, np.nan, past.measured)
+            kept = self._kept(measured)
+            z, _ = self._observed(measured)
+            assert z is not None  # as it was before, or predicted
+            self._estimator.update(z)
+            self._estimator.predict(z, *self._forcing(z, past.acting))
+            self._history.apply(past.acting)
+            self._past[k - len(again)] = replace(kept, acting=past.acting)
+
+    def _kept(self, measured: Array) -> Past:
+        """What this step begins with."""
+        return Past(self._history.copy(), self._estimator.snapshot(), self._readout, self._doubts, measured)
 
     def _observed(self, measured: Array) -> tuple[Array | None, int]:
         """The lifted state (M,), None where nothing is known yet; how many entries of ``measured`` were rejected."""
@@ -348,6 +435,9 @@ class MPC:
         self._plan = None
         self._readout = None
         self._blind = 0
+        if self._stuck is not None:
+            self._stuck.reset()
+        self._past = deque(maxlen=0 if self._stuck is None else MEMORY * self._stuck.steps)
         self._doubts = np.zeros(0 if self._observer is None else len(self._observer.measured), dtype=np.int64)
 
     def _ahead(self, z: Array, w: Array) -> Array:

@@ -1,6 +1,7 @@
 """Plants around a plant: what sensors, servos, networks and logs do to measurements and commands."""
 
 from pisplit.controllers.plants.commands import ActuatedPlant, DelayedCommands, QuantisedCommands
+from pisplit.controllers.plants.frozen import FrozenMeasurements
 from pisplit.controllers.plants.markers import Markers
 from pisplit.controllers.plants.measurements import DelayedMeasurements, LostMeasurements, NoisyMeasurements, Outliers
 from pisplit.controllers.plants.modelled import ModelPlant
@@ -11,6 +12,7 @@ __all__ = [
     "ActuatedPlant",
     "DelayedCommands",
     "DelayedMeasurements",
+    "FrozenMeasurements",
     "LostMeasurements",
     "Markers",
     "ModelPlant",
