@@ -3,6 +3,7 @@
 from pisplit.controllers import plants, references
 from pisplit.controllers.estimation.kalman import KalmanFilter
 from pisplit.controllers.feedforward import FeedForward
+from pisplit.controllers.loop.following import LoopStep
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.loop import ClosedLoop
 from pisplit.controllers.loop.plant import Plant, PlantStep
@@ -20,6 +21,7 @@ __all__ = [
     "FeedForward",
     "KalmanFilter",
     "LoopLog",
+    "LoopStep",
     "Move",
     "Plant",
     "PlantStep",

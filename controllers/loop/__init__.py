@@ -1,5 +1,6 @@
 """A controller in closed loop with a plant, and the log of it."""
 
+from pisplit.controllers.loop.following import LoopStep
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.loop import ClosedLoop
 from pisplit.controllers.loop.plant import Plant, PlantStep
@@ -9,6 +10,7 @@ __all__ = [
     "ClosedLoop",
     "Controller",
     "LoopLog",
+    "LoopStep",
     "Move",
     "Plant",
     "PlantStep",

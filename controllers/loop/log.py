@@ -200,7 +200,14 @@ class LoopLog:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> LoopLog:
-        """Read the log saved at ``path``. Raises one line for files that are missing, damaged or of another kind."""
+        """Read the log saved at ``path``, or written there by a run that was killed or goes on (up to its last flush).
+
+        Raises one line for files that are missing, damaged or of another kind.
+        """
+        from pisplit.controllers.loop.stream import begins_as_stream, read_stream
+
+        if begins_as_stream(path):
+            return read_stream(path)
         with store.reading(path, KIND) as file:
             parts: dict[str, object] = {}
             for item in fields(LoopLog):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 import warnings
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from pisplit.checks import Array, count
+from pisplit.controllers.loop.following import Callback, Follower, LoopStep
 from pisplit.controllers.loop.log import INTERRUPTED, LoopLog
 from pisplit.controllers.loop.plant import Plant
 from pisplit.controllers.loop.recorder import Recorder
@@ -56,7 +58,15 @@ class ClosedLoop:
         """What was run so far, during a run and after it, however it ended. Raises ValueError before the first run."""
         return self._recorded().log(float(self.plant.dt), self.controller, self._wiring)
 
-    def run(self, reference: Reference, steps: int, u0: ArrayLike | None = None, progress: bool = True) -> LoopLog:
+    def run(
+        self,
+        reference: Reference,
+        steps: int,
+        u0: ArrayLike | None = None,
+        progress: bool = True,
+        log_file: str | os.PathLike[str] | None = None,
+        callbacks: Sequence[Callback] = (),
+    ) -> LoopLog:
         """Run ``steps`` steps from rest under ``u0`` (m,), zeros if not given, along the ``reference``.
 
         The reference has the coordinates of the whole tracked group in its own order, or those of the tracked axes.
@@ -65,6 +75,11 @@ class ClosedLoop:
         ``message`` says why (``log`` has it too). NaN is taken for not measured: the controller bridges it, counted in
         the log. Raises ValueError if reference and controller do not fit. ``progress``: show a bar. A reference beyond
         three times the range of the training data is warned of.
+
+        ``log_file``: HDF5 file to which the log is written about once a second while it runs, and whole at the end;
+        after a kill ``LoopLog.load`` reads what was flushed. A disk that is full ends no run, and is noted.
+        ``callbacks``: functions that are told every step (a :class:`LoopStep`) after it; a text that one returns ends
+        the run, and so does an exception: both stand in ``message``.
         """
         N = count(steps, "steps")
         plant, controller = self.plant, self.controller
@@ -84,13 +99,20 @@ class ClosedLoop:
         self._record.notes += getattr(controller, "notes", ())
         self._look_ahead(N)
         self._warn_if_far()
-        return self._go_on(N, progress)
+        return self._go_on(N, progress, log_file, callbacks)
 
-    def resume(self, steps: int, progress: bool = True) -> LoopLog:
+    def resume(
+        self,
+        steps: int,
+        progress: bool = True,
+        log_file: str | os.PathLike[str] | None = None,
+        callbacks: Sequence[Callback] = (),
+    ) -> LoopLog:
         """Go on for another ``steps`` steps after a run that ended by itself, or after ``restore``; the whole log.
 
-        The same, to the last bit, as one longer run. ``progress``: show a bar. Raises ValueError without a run, after
-        one that was stopped, amid a step, and after plant or controller were used in another loop.
+        The same, to the last bit, as one longer run. ``progress``, ``log_file`` and ``callbacks`` as in ``run``. Raises
+        ValueError without a run, after one that was stopped, amid a step, and after plant or controller were used in
+        another loop.
         """
         N, record = count(steps, "steps"), self._recorded()
         if record.message:
@@ -101,7 +123,7 @@ class ClosedLoop:
                     f"{type(part).__name__} was used in another loop since; take snapshots, and restore one to go on"
                 )
         self._look_ahead(N)
-        return self._go_on(N, progress)
+        return self._go_on(N, progress, log_file, callbacks)
 
     def snapshot(self) -> LoopState:
         """Plant, controller and log between two steps: picklable if plant and reference are; for ``restore``.
@@ -148,8 +170,15 @@ class ClosedLoop:
             wanted = wanted[:, list(controller.axes)]
         record.wanted = np.vstack([record.wanted, wanted])
 
-    def _go_on(self, steps: int, progress: bool) -> LoopLog:
+    def _go_on(
+        self,
+        steps: int,
+        progress: bool,
+        log_file: str | os.PathLike[str] | None,
+        callbacks: Sequence[Callback],
+    ) -> LoopLog:
         record, dt = self._recorded(), float(self.plant.dt)
+        follower = Follower(callbacks, log_file, lambda first: record.log(dt, self.controller, self._wiring, first))
         first = len(record.u)
         where, k = "the controller", first
         try:
@@ -173,6 +202,12 @@ class ClosedLoop:
                     record.message = _at(k, first + steps, dt) + f"the plant {problem}"
                     break
                 record.add(move, u, spent, state)
+                follower.write_if_due()
+                where = "a callback"
+                step = LoopStep(k, (k + 1) * dt, state.copy(), record.wanted[k + 1].copy(), u.copy(), move)
+                if end := follower.tell(step):
+                    record.message = _at(k, first + steps, dt) + f"ended by a callback: {end}"
+                    break
         except KeyboardInterrupt:
             record.message = _at(k, first + steps, dt) + INTERRUPTED
         except Exception as error:
@@ -182,6 +217,10 @@ class ClosedLoop:
         except BaseException as error:  # the end of the program: kept in ``log``, not swallowed
             record.message = _at(k, first + steps, dt) + f"{where} raised {type(error).__name__}"
             raise
+        finally:
+            follower.finish()
+            if follower.fault:
+                record.notes.append(follower.fault)
         return self.log
 
     def _name_stuck(self, move: Move, t: float) -> None:

@@ -45,18 +45,22 @@ class Recorder:
         self.plant_time.append(plant_time)
         self.x.append(x)
 
-    def log(self, dt: float, controller: Controller, wiring: Wiring) -> LoopLog:
-        """The log of what was run so far by the ``controller``, in steps of ``dt`` [s]; ``wiring`` tells the units."""
+    def log(self, dt: float, controller: Controller, wiring: Wiring, first: int = 0) -> LoopLog:
+        """The log of what was run so far by the ``controller``, in steps of ``dt`` [s]; ``wiring`` tells the units.
+
+        ``first``: the step that it begins with, the input before it being its ``u0``.
+        """
         model, N = controller.model, len(self.x) - 1  # an interrupt may have come amid ``add``, whose last is the state
-        moves = self.moves[:N]
-        u = np.reshape(np.array(self.u[:N], dtype=np.float64), (N, len(self.u0)))
+        moves = self.moves[first:N]
+        u0 = self.u[first - 1] if first else self.u0
+        u = np.reshape(np.array(self.u[first:N], dtype=np.float64), (N - first, len(u0)))
         return LoopLog(
             dt=dt,
-            t=dt * np.arange(N + 1, dtype=np.float64),
-            x=np.array(self.x),
-            reference=self.wanted[: N + 1].copy(),
+            t=dt * np.arange(first, N + 1, dtype=np.float64),
+            x=np.array(self.x[first : N + 1]),
+            reference=self.wanted[first : N + 1].copy(),
             u=u,
-            u0=self.u0.copy(),
+            u0=u0.copy(),
             tracked=tuple(controller.tracked),
             state_names=model.state_names,
             input_names=model.input_names,
@@ -67,11 +71,11 @@ class Recorder:
             fallback=np.array([move.fallback for move in moves], dtype=bool),
             solve_time=np.array([move.solve_time for move in moves]),
             cpu_time=np.array([move.cpu_time for move in moves]),
-            plant_time=np.array(self.plant_time[:N]),
+            plant_time=np.array(self.plant_time[first:N]),
             missing=np.array([move.missing for move in moves], dtype=int),
             rejected=np.array([move.rejected for move in moves], dtype=int),
             stuck=np.array([len(move.stuck) for move in moves], dtype=int),
-            limit_violations=_count_violations(u, self.u0, controller),
+            limit_violations=_count_violations(u, u0, controller),
             message=self.message,
             notes=tuple(self.notes),
         )
