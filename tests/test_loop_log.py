@@ -33,6 +33,7 @@ def log(units: tuple[str, ...], y: Array, reference: Array, **changes: object) -
         solve_time=np.array([0.002, 0.004]),
         cpu_time=np.array([0.002, 0.004]),
         plant_time=np.array([0.0051, 0.0051]),
+        jitter=np.full(2, np.nan),
         missing=np.zeros(2, dtype=int),
         rejected=np.zeros(2, dtype=int),
         stuck=np.zeros(2, dtype=int),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pisplit.checks import Array, non_negative
+from pisplit.controllers.loop.pacing import TOLERANCE
 from pisplit.data import store
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ class LoopLog:
     ``tracked`` (p,): indices of the tracked states. ``state_names``, ``state_units`` (n,) and ``input_names``,
     ``input_units`` (m,) in the order of the model; a unit is "" where nobody told it.
     Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
-    ``plant_time`` [s]; ``missing`` and ``rejected``: how many entries of the measurement that the move answers to were
+    ``plant_time`` [s]; ``jitter`` [s]: how late the measurement after it was, NaN where the loop did not run by the
+    clock; ``missing`` and ``rejected``: how many entries of the measurement that the move answers to were
     not there, and how many the observer did not believe; ``stuck``: how many of the missing came from sensors that
     repeated themselves while the arm must have moved. ``x`` is NaN there, and ``notes`` name the states.
     ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
@@ -62,6 +64,7 @@ class LoopLog:
     solve_time: Array
     cpu_time: Array
     plant_time: Array
+    jitter: Array
     missing: Array
     rejected: Array
     stuck: Array
@@ -110,6 +113,11 @@ class LoopLog:
         return int(np.count_nonzero(self.solve_time > self.dt))
 
     @property
+    def overruns(self) -> int:
+        """Steps by the clock that ended later than a tenth of a step."""
+        return int(np.count_nonzero(self.jitter > TOLERANCE * self.dt))
+
+    @property
     def error(self) -> Array:
         """Distance (N+1,) of the tracked outputs from the reference, over the outputs that it specifies; NaN where one
         of them was not measured.
@@ -150,6 +158,13 @@ class LoopLog:
                 f"{found}; {self.unsolved} not to tolerance, {self.fallbacks} fallbacks, "
                 f"{self.limit_violations} limit violations"
             )
+            late = self.jitter[np.isfinite(self.jitter)]
+            if len(late):
+                median, p99, worst = 1e3 * np.percentile(late, [50, 99, 100])
+                lines.append(
+                    f"real time: jitter median {median:.2f} ms, p99 {p99:.2f} ms, maximum {worst:.2f} ms, "
+                    f"{self.overruns} overruns"
+                )
         gaps = np.count_nonzero(self.missing)
         if gaps:
             lines.append(f"{gaps} steps with missing measurements, {int(self.missing.sum())} entries in all, bridged")
@@ -217,6 +232,8 @@ class LoopLog:
                     parts[item.name] = store.read_text(file, item.name)
                 elif item.name in _COUNTS and item.name not in file:  # of a version that did not count them
                     parts[item.name] = np.zeros(len(file["u"]), dtype=int)
+                elif item.name == "jitter" and item.name not in file:
+                    parts[item.name] = np.full(len(file["u"]), np.nan)
                 else:
                     parts[item.name] = np.asarray(file[item.name][()])
             parts["dt"], parts["limit_violations"] = float(parts["dt"]), int(parts["limit_violations"])  # type: ignore[arg-type, call-overload]

@@ -18,6 +18,7 @@ from tqdm import tqdm
 from pisplit.checks import Array, count
 from pisplit.controllers.loop.following import Callback, Follower, LoopStep
 from pisplit.controllers.loop.log import INTERRUPTED, LoopLog
+from pisplit.controllers.loop.pacing import Pace
 from pisplit.controllers.loop.plant import Plant
 from pisplit.controllers.loop.recorder import Recorder
 from pisplit.controllers.loop.tracking import Controller, Move, start_input
@@ -66,6 +67,7 @@ class ClosedLoop:
         progress: bool = True,
         log_file: str | os.PathLike[str] | None = None,
         callbacks: Sequence[Callback] = (),
+        realtime: bool = False,
     ) -> LoopLog:
         """Run ``steps`` steps from rest under ``u0`` (m,), zeros if not given, along the ``reference``.
 
@@ -78,6 +80,10 @@ class ClosedLoop:
 
         ``log_file``: HDF5 file to which the log is written about once a second while it runs, and whole at the end;
         after a kill ``LoopLog.load`` reads what was flushed. A disk that is full ends no run, and is noted.
+        ``realtime``: run by the clock, a step every dt: the loop sleeps until the next measurement is due, ``jitter``
+        of the log tells how late it was, and ``overruns`` counts those later than a tenth of a step (the clock goes on
+        from there). A plant with ``send(u)`` and ``measure()`` is commanded at the beginning and measured at the end of
+        a step; one with ``step`` alone must wait itself for its next sample, or be a simulation.
         ``callbacks``: functions that are told every step (a :class:`LoopStep`) after it; a text that one returns ends
         the run, and so does an exception: both stand in ``message``.
         """
@@ -99,7 +105,7 @@ class ClosedLoop:
         self._record.notes += getattr(controller, "notes", ())
         self._look_ahead(N)
         self._warn_if_far()
-        return self._go_on(N, progress, log_file, callbacks)
+        return self._go_on(N, progress, realtime, log_file, callbacks)
 
     def resume(
         self,
@@ -107,12 +113,13 @@ class ClosedLoop:
         progress: bool = True,
         log_file: str | os.PathLike[str] | None = None,
         callbacks: Sequence[Callback] = (),
+        realtime: bool = False,
     ) -> LoopLog:
         """Go on for another ``steps`` steps after a run that ended by itself, or after ``restore``; the whole log.
 
-        The same, to the last bit, as one longer run. ``progress``, ``log_file`` and ``callbacks`` as in ``run``. Raises
-        ValueError without a run, after one that was stopped, amid a step, and after plant or controller were used in
-        another loop.
+        The same, to the last bit, as one longer run. ``progress``, ``log_file``, ``callbacks`` and ``realtime`` as in
+        ``run``. Raises ValueError without a run, after one that was stopped, amid a step, and after plant or controller
+        were used in another loop.
         """
         N, record = count(steps, "steps"), self._recorded()
         if record.message:
@@ -123,7 +130,7 @@ class ClosedLoop:
                     f"{type(part).__name__} was used in another loop since; take snapshots, and restore one to go on"
                 )
         self._look_ahead(N)
-        return self._go_on(N, progress, log_file, callbacks)
+        return self._go_on(N, progress, realtime, log_file, callbacks)
 
     def snapshot(self) -> LoopState:
         """Plant, controller and log between two steps: picklable if plant and reference are; for ``restore``.
@@ -174,11 +181,13 @@ class ClosedLoop:
         self,
         steps: int,
         progress: bool,
+        realtime: bool,
         log_file: str | os.PathLike[str] | None,
         callbacks: Sequence[Callback],
     ) -> LoopLog:
         record, dt = self._recorded(), float(self.plant.dt)
         follower = Follower(callbacks, log_file, lambda first: record.log(dt, self.controller, self._wiring, first))
+        pace = Pace(dt) if realtime else None
         first = len(record.u)
         where, k = "the controller", first
         try:
@@ -187,9 +196,8 @@ class ClosedLoop:
                 window = record.wanted[k + 1 : k + 1 + self.controller.horizon].copy()
                 move = self.controller.step(record.x[-1].copy(), window)
                 u = np.array(move.u, dtype=np.float64)
-                where, begin = "the plant", time.perf_counter()
-                after = self.plant.step(self._wiring.applied(u))
-                spent = time.perf_counter() - begin
+                where = "the plant"
+                after, spent, late = self._advanced(u, pace)
                 if not (hasattr(after, "ok") and hasattr(after, "state")):
                     raise TypeError(f"step() returned {type(after).__name__}; expected PlantStep(state)")
                 if not after.ok:
@@ -201,7 +209,7 @@ class ClosedLoop:
                 if problem:  # the input that broke the plant belongs to no completed step
                     record.message = _at(k, first + steps, dt) + f"the plant {problem}"
                     break
-                record.add(move, u, spent, state)
+                record.add(move, u, spent, late, state)
                 follower.write_if_due()
                 where = "a callback"
                 step = LoopStep(k, (k + 1) * dt, state.copy(), record.wanted[k + 1].copy(), u.copy(), move)
@@ -222,6 +230,20 @@ class ClosedLoop:
             if follower.fault:
                 record.notes.append(follower.fault)
         return self.log
+
+    def _advanced(self, u: Array, pace: Pace | None) -> tuple[Any, float, float]:
+        """The plant's answer to the input u (m,), the time it took and how late it came [s], NaN without a clock."""
+        plant: Any = self.plant
+        apart = pace is not None and hasattr(plant, "send") and hasattr(plant, "measure")
+        begin = time.perf_counter()
+        after = (plant.send if apart else plant.step)(self._wiring.applied(u))
+        spent = time.perf_counter() - begin
+        late = np.nan if pace is None else pace.wait()
+        if apart:
+            begin = time.perf_counter()
+            after = plant.measure()
+            spent += time.perf_counter() - begin
+        return after, spent, late
 
     def _name_stuck(self, move: Move, t: float) -> None:
         """A note on sensors that the controller found stuck for the first time."""

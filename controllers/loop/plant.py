@@ -40,7 +40,9 @@ class Plant(Protocol):
 
     Optional: ``state_names``, ``input_names``, ``state_units``, ``input_units``, tuples of texts by which a closed loop
     matches the plant with a model whatever the order of its columns; ``snapshot()``, whose answer tells all that the
-    next steps depend on, and ``restore(snapshot)``, by which a loop goes on from there to the last bit.
+    next steps depend on, and ``restore(snapshot)``, by which a loop goes on from there to the last bit; ``send(u)``,
+    which returns at once, and ``measure()`` -> PlantStep, which a loop in real time calls instead of ``step``, one at
+    the beginning of a time step and the other at its end.
     Arrays that it returns are copied, and those it is given are its own: it may use one buffer for all steps.
     """
 

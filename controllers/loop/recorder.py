@@ -19,8 +19,8 @@ LIMIT_TOLERANCE = 1e-9
 @dataclass(eq=False)
 class Recorder:
     """A run: its ``reference``, bound to the start, and its samples ``wanted`` (so far); ``u0`` (m,); states ``x``,
-    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` [s] each; ``message`` and ``notes`` as in the log;
-    ``stuck``: states that were found stuck."""
+    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` and ``late`` [s] each; ``message`` and ``notes`` as
+    in the log; ``stuck``: states that were found stuck."""
 
     reference: Reference
     wanted: Array
@@ -29,6 +29,7 @@ class Recorder:
     moves: list[Move] = field(default_factory=list)
     u: list[Array] = field(default_factory=list)
     plant_time: list[float] = field(default_factory=list)
+    late: list[float] = field(default_factory=list)
     message: str = ""
     notes: list[str] = field(default_factory=list)
     stuck: set[int] = field(default_factory=set)
@@ -37,12 +38,13 @@ class Recorder:
         """A record that goes on apart from this one."""
         return copy.deepcopy(self)
 
-    def add(self, move: Move, u: Array, plant_time: float, x: Array) -> None:
-        """A completed step: ``move``, applied input ``u`` (m,), ``plant_time`` [s], state ``x`` (n,) after it."""
+    def add(self, move: Move, u: Array, plant_time: float, late: float, x: Array) -> None:
+        """A completed step: ``move``, applied input ``u`` (m,), ``plant_time``, ``late`` [s], state ``x`` (n,) then."""
         self.x[-1][list(move.stuck)] = np.nan
         self.moves.append(move)
         self.u.append(u)
         self.plant_time.append(plant_time)
+        self.late.append(late)
         self.x.append(x)
 
     def log(self, dt: float, controller: Controller, wiring: Wiring, first: int = 0) -> LoopLog:
@@ -72,6 +74,7 @@ class Recorder:
             solve_time=np.array([move.solve_time for move in moves]),
             cpu_time=np.array([move.cpu_time for move in moves]),
             plant_time=np.array(self.plant_time[first:N]),
+            jitter=np.array(self.late[first:N]),
             missing=np.array([move.missing for move in moves], dtype=int),
             rejected=np.array([move.rejected for move in moves], dtype=int),
             stuck=np.array([len(move.stuck) for move in moves], dtype=int),

@@ -30,6 +30,7 @@ PER_STEP = (
     "missing",
     "rejected",
     "stuck",
+    "jitter",
 )
 NAMES = ("state_names", "input_names", "state_units", "input_units")
 #: Free space on the disk below which nothing more is written: HDF5 does not survive a full one.
