@@ -14,7 +14,8 @@ from scipy.io import savemat
 from pisplit import Episodes, PhaseSamples
 from pisplit.data.clock import _check_increasing, seconds
 from pisplit.data.episode_checks import _misfit
-from pisplit.data.recordings import _jitter, _say_what_is_held, _step
+from pisplit.data.recording_checks import say_what_is_held
+from pisplit.data.recordings import _jitter, _step
 from pisplit.data.resampling import BRIDGED, Signal, _both, longest_gap, pieces
 from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
@@ -328,7 +329,7 @@ def test_the_end_of_a_command_that_is_read_there_is_no_gap() -> None:
     command = np.array([[0.0], [1.0], [nan], [nan], [nan], [2.0]])  # read 1 s and 4 s apart: the median is 2.5 s
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        _say_what_is_held(t, command, ["u"], 1.0, None)
+        say_what_is_held(t, command, ["u"], 1.0, None)
 
 
 def test_a_command_that_holds_over_a_step_is_itself_to_the_last_digit() -> None:
@@ -365,8 +366,8 @@ def test_a_command_is_held_where_it_is_missing_not_where_nothing_was_recorded() 
     slow = np.array([[0.0], [1.0], [0.5], [nan], [1.5]])  # read every 10 s, once after 20 s
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        _say_what_is_held(10.0 * np.arange(5), slow, ["u"], 1.0, None)
-        _say_what_is_held(np.array([0.0, 1.0, 2.0, 40.0, 41.0]), np.ones((5, 1)), ["u"], 1.0, None)
+        say_what_is_held(10.0 * np.arange(5), slow, ["u"], 1.0, None)
+        say_what_is_held(np.array([0.0, 1.0, 2.0, 40.0, 41.0]), np.ones((5, 1)), ["u"], 1.0, None)
 
 
 def test_two_readings_have_a_spacing() -> None:

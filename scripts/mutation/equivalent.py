@@ -246,7 +246,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "exp(-0 angle) is folded to one when the graph is made",
     ),
     Equivalent(
-        "pisplit/data/recordings.py",
+        "pisplit/data/recording_checks.py",
         "ends = np.append(read, len(column) - 1) if read[-1] < len(column) - 1 else read",
         "ends = np.append(read, len(column) - 1) if read[-1] < len(column) - 2 else read",
         "one reading at the end, one step after the last, is no gap",
@@ -396,7 +396,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "a start that changes the way, not the minimum",
     ),
     Equivalent(
-        "pisplit/data/recordings.py",
+        "pisplit/data/recording_checks.py",
         "if 2 * len(read) < max(len(column), 4): # written where it changes",
         "if 2 * len(read) <= max(len(column), 4): # written where it changes",
         "a column of which exactly half is read",
