@@ -1,4 +1,4 @@
-"""Readings that are none: what a tracker writes where it saw nothing is not learned from, what a robot did at rest is."""
+"""Readings that are none: what a tracker writes where it saw nothing is missing, what a robot did at rest is kept."""
 
 from __future__ import annotations
 

@@ -62,7 +62,8 @@ def from_arrays(
     fields         state_names, input_names, quantities, units (of states whose unit has no factor to SI), outputs and
                    provenance of :class:`pisplit.Episodes`
 
-    Warns of readings that were screened, where more than 5 % of the samples are in no episode, and where dt or spacings do not look like one clock.
+    Warns of readings that were screened, where more than 5 % of the samples are in no episode, and where dt or spacings
+    do not look like one clock.
     Raises ValueError for times that do not increase, numbers that are infinite, unknown units, readings out of range,
     a dt a hundred times below the spacing, and if nothing is left.
     """

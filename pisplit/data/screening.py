@@ -22,7 +22,7 @@ KINDS = ("zeros", "stalls")
 
 @dataclass
 class Screened:
-    """``states`` (N, n) with NaN for what was no reading, and how often in ``found``: by kind and name of the column."""
+    """``states`` (N, n) with NaN for what was no reading; ``found``: how often, by kind and name of the column."""
 
     states: Array
     found: dict[str, dict[str, int]] = field(default_factory=dict)

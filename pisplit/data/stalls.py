@@ -41,9 +41,10 @@ def stalled(states: Array, inputs: Array, runs: Sequence[Index]) -> Mask:
     states, inputs  (N, n) and (N, m), NaN where missing
     runs            positions of the samples of every run, in order of time
 
-    At least two columns repeat together (or the only one that lives, if it is fine), while commands move, and jump when they come back or stood
-    still in the middle of a motion. Single repeats count where all columns of a fine sensor repeat amid a motion.
-    A robot at rest, a joint whose command rests, an end stop that is reached again and again are no stalls.
+    At least two columns repeat together (or the only one that lives, if it is fine), while commands move, and jump when
+    they come back or stood still in the middle of a motion. Single repeats count where all columns of a fine sensor
+    repeat amid a motion. A robot at rest, a joint whose command rests, an end stop that is reached again and again are
+    no stalls.
     """
     still = np.zeros(states.shape, dtype=bool)
     alive = [c for c in range(states.shape[1]) if _alive(states[:, c], runs)]
