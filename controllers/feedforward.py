@@ -96,6 +96,7 @@ class FeedForward:
             u=self._u.copy(),
             status="solved" if found else "inverse not finite",
             fallback=not found,
+            action="" if found else "hold",
             iterations=0,
             solve_time=time.perf_counter() - wall,
             cpu_time=time.thread_time() - cpu,

@@ -10,7 +10,8 @@ import pytest
 from pisplit import Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
 from pisplit.controllers import MPC
-from pisplit.controllers.mpc.mpc import _each_output, _spectral_radius, _warn_of_growth
+from pisplit.controllers.mpc.growth import spectral_radius, warn_of_growth
+from pisplit.controllers.mpc.mpc import _each_output
 from pisplit.controllers.mpc.qp import QP, QPSettings
 
 
@@ -27,15 +28,15 @@ def test_the_spectral_radius_is_the_largest_modulus(size: int) -> None:
     rng = np.random.default_rng(size)
     q, _ = np.linalg.qr(rng.normal(size=(size, size)))
     values = np.linspace(-0.9, 0.5, size)
-    assert _spectral_radius(q @ np.diag(values) @ q.T) == pytest.approx(0.9, rel=1e-3)
+    assert spectral_radius(q @ np.diag(values) @ q.T) == pytest.approx(0.9, rel=1e-3)
 
 
 def test_growth_over_the_horizon_is_said_beyond_its_limit() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        _warn_of_growth(np.diag([1.01, 0.5]), 20)
+        warn_of_growth(np.diag([1.01, 0.5]), 20)
     with pytest.warns(UserWarning, match=r"spectral radius 3.0000 grows 3.5e\+09 times over 20 steps"):
-        _warn_of_growth(np.diag([3.0, 0.5]), 20)
+        warn_of_growth(np.diag([3.0, 0.5]), 20)
 
 
 def test_an_output_may_have_no_weight_but_not_all() -> None:

@@ -50,7 +50,7 @@ def loop(plant: Arm | None = None) -> ClosedLoop:
 def same(one: LoopLog, other: LoopLog) -> None:
     for name in ("t", "x", "u", "u0", "reference", "iterations", "fallback", "solve_time", "missing", "stuck"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-    for name in ("statuses", "state_names", "input_units", "tracked", "notes", "dt", "limit_violations"):
+    for name in ("statuses", "actions", "state_names", "input_units", "tracked", "notes", "dt", "limit_violations"):
         assert getattr(one, name) == getattr(other, name), name
 
 

@@ -28,6 +28,7 @@ def log(units: tuple[str, ...], y: Array, reference: Array, **changes: object) -
         state_units=("N", *units),
         input_units=("",),
         statuses=("solved", "maximum iterations reached"),
+        actions=("", ""),
         iterations=np.array([10, 100]),
         fallback=np.array([False, False]),
         solve_time=np.array([0.002, 0.004]),

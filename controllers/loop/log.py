@@ -37,7 +37,8 @@ class LoopLog:
     reference (N+1, p) with NaN where an output was free, u (N, m) applied inputs, u0 (m,) the input before them.
     ``tracked`` (p,): indices of the tracked states. ``state_names``, ``state_units`` (n,) and ``input_names``,
     ``input_units`` (m,) in the order of the model; a unit is "" where nobody told it.
-    Per step (N,): ``statuses``, ``iterations``, ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
+    Per step (N,): ``statuses``, ``actions`` (what stood in for a solution, "" where there was one), ``iterations``,
+    ``fallback``, ``solve_time`` and ``cpu_time`` of the controller [s],
     ``plant_time`` [s]; ``jitter`` [s]: how late the measurement after it was, NaN where the loop did not run by the
     clock; ``missing`` and ``rejected``: how many entries of the measurement that the move answers to were
     not there, and how many the observer did not believe; ``stuck``: how many of the missing came from sensors that
@@ -59,6 +60,7 @@ class LoopLog:
     state_units: tuple[str, ...]
     input_units: tuple[str, ...]
     statuses: tuple[str, ...]
+    actions: tuple[str, ...]
     iterations: Array
     fallback: Array
     solve_time: Array
@@ -155,7 +157,7 @@ class LoopLog:
             )
             found = ", ".join(f"{n} x {status}" for status, n in Counter(self.statuses).most_common())
             lines.append(
-                f"{found}; {self.unsolved} not to tolerance, {self.fallbacks} fallbacks, "
+                f"{found}; {self.unsolved} not to tolerance, {self.fallbacks} fallbacks{_told(self.actions)}, "
                 f"{self.limit_violations} limit violations"
             )
             late = self.jitter[np.isfinite(self.jitter)]
@@ -226,7 +228,9 @@ class LoopLog:
         with store.reading(path, KIND) as file:
             parts: dict[str, object] = {}
             for item in fields(LoopLog):
-                if item.name in _TEXTS:
+                if item.name == "actions" and item.name not in file:
+                    parts[item.name] = ("",) * len(file["u"])
+                elif item.name in _TEXTS:
                     parts[item.name] = store.read_strings(file, item.name)
                 elif item.name == "message":
                     parts[item.name] = store.read_text(file, item.name)
@@ -249,7 +253,13 @@ class LoopLog:
 
 
 _COUNTS = ("missing", "rejected", "stuck")
-_TEXTS = ("state_names", "input_names", "state_units", "input_units", "statuses", "notes")
+_TEXTS = ("state_names", "input_names", "state_units", "input_units", "statuses", "actions", "notes")
+
+
+def _told(actions: Sequence[str]) -> str:
+    """What stood in for solutions, and how often, in brackets."""
+    found = Counter(action for action in actions if action)
+    return f" ({', '.join(f'{n} x {action}' for action, n in found.items())})" if found else ""
 
 
 def _rms(error: Array) -> float:

@@ -69,6 +69,7 @@ class Recorder:
             state_units=wiring.states.units,
             input_units=wiring.inputs.units,
             statuses=tuple(move.status for move in moves),
+            actions=tuple(move.action for move in moves),
             iterations=np.array([move.iterations for move in moves], dtype=int),
             fallback=np.array([move.fallback for move in moves], dtype=bool),
             solve_time=np.array([move.solve_time for move in moves]),

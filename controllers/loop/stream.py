@@ -148,10 +148,11 @@ def read_stream(path: str | os.PathLike[str]) -> LoopLog:
     """
     try:
         with h5py.File(path, "r", libver="latest", swmr=True) as file:
-            N = min(len(file["x"]) - 1, *(len(file[name]) for name in (*PER_STEP, "statuses", "u")))
+            N = min(len(file["x"]) - 1, *(len(file[name]) for name in (*PER_STEP, "statuses", "actions", "u")))
             parts: dict[str, Any] = {name: np.asarray(file[name][: N + 1]) for name in ("x", "reference")}
             parts |= {name: np.asarray(file[name][:N]) for name in (*PER_STEP, "u")}
-            parts["statuses"] = tuple(text.decode() for text in file["statuses"][:N])
+            for name in ("statuses", "actions"):
+                parts[name] = tuple(text.decode() for text in file[name][:N])
             parts["notes"] = tuple(text.decode() for text in file["notes"][()])
             for name in NAMES:
                 parts[name] = tuple(json.loads(file[name][()]))
@@ -179,6 +180,7 @@ def _rows(log: LoopLog) -> dict[str, Any]:
         "reference": log.reference,
         "u": log.u,
         "statuses": _texts(log.statuses),
+        "actions": _texts(log.actions),
         **{name: getattr(log, name) for name in PER_STEP},
     }
 

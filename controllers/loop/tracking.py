@@ -19,7 +19,8 @@ class Move:
     """What a controller answers to one measurement.
 
     u (m,): input to apply over the coming step, inside all limits. ``status``: the solver's word, or why there was no
-    solve, after so many ``iterations``. ``fallback``: True if u comes from the last good plan instead. ``solve_time``:
+    solve, after so many ``iterations``. ``fallback``: True if u comes from elsewhere: ``action`` says from where, in
+    the order "shifted plan", "steady target", "hold", "return to rest". ``solve_time``:
     wall time of the whole step [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs
     expected under the plan. ``missing``: entries of the measurement that were not there (NaN), for which the model's
     prediction stood; ``rejected``: those that an observer did not believe. ``stuck``: states whose sensors repeat
@@ -36,6 +37,7 @@ class Move:
     missing: int = 0
     rejected: int = 0
     stuck: tuple[int, ...] = ()
+    action: str = ""
 
 
 class Controller(Protocol):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import copy
 import time
-import warnings
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.linalg import ArpackError, eigs
 
 from pisplit.checks import Array, count, non_negative, positive, real_array
 from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
@@ -27,17 +25,19 @@ from pisplit.controllers.loop.tracking import (
     tracked_states,
 )
 from pisplit.controllers.mpc.condense import condense
+from pisplit.controllers.mpc.fallback import PLAN, Fallback, FallbackState
+from pisplit.controllers.mpc.growth import warn_of_growth
 from pisplit.controllers.mpc.latency import Latency
 from pisplit.controllers.mpc.limits import directions, input_limits
 from pisplit.controllers.mpc.problem import ProblemState, TrackingProblem, Weights
 from pisplit.controllers.mpc.qp import QPResult, QPSettings
 from pisplit.controllers.mpc.relinearise import AlongPlan
+from pisplit.controllers.mpc.steady import SteadyTarget
 from pisplit.data.columns import in_order
 from pisplit.data.input_subspace import combination
 from pisplit.evaluation.matching import Fitted, model_of
 from pisplit.lifted.model import LiftedModel
 
-GROWTH_LIMIT = 100.0
 GAIN = 0.3  # of the disturbance estimate, where there is no delay
 #: Steps in a row in which an entry of the measurement may be rejected; then the model is wrong, and not the sensor.
 PATIENCE = 12
@@ -66,7 +66,8 @@ class MPCState:
     ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None before it; steps ``blind``
     since anything was measured; ``doubts`` (p,), steps for which the observer rejected each of its entries; ``line`` of
     commands on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first;
-    ``stuck``, what is known of sensors that repeat themselves, and the ``past`` steps that are forgotten where they do.
+    ``stuck``, what is known of sensors that repeat themselves, and the ``past`` steps that are forgotten where they do;
+    ``fallback``, how far its order has been gone down.
     """
 
     history: History
@@ -81,6 +82,7 @@ class MPCState:
     wanted: Array | None
     stuck: StuckState | None
     past: tuple[Past, ...]
+    fallback: FallbackState
 
 
 class MPC:
@@ -169,7 +171,7 @@ class MPC:
         rows = list(self.tracked)
         self._read, self._read_offset = model.C[rows], model.d[rows]
         self._condensed = condense(model.A, model.B, model.c, self._read, self._read_offset, H)
-        _warn_of_growth(model.A, H)
+        warn_of_growth(model.A, H)
         self._history: History
         self._readout: Array | None
         self._wanted: Array | None
@@ -202,6 +204,8 @@ class MPC:
                 "output_slack_weight has no effect without y_min or y_max; give one of them or leave it out"
             )
         limits = self._limits
+        self._steady = SteadyTarget(model, self._read, self._read_offset, limits, weights.output, scale)
+        self._fallback = Fallback(H, limits)
         self._stuck = None if stuck_after is None else StuckSensors(stuck_after, model.state_range, limits.amplitude)
         self._T = limits.basis * limits.amplitude.mean()
         self._along = AlongPlan(model, self._read, self._read_offset, self._T) if model.varies else None
@@ -272,6 +276,7 @@ class MPC:
             wanted,
             stuck,
             tuple(self._past),
+            self._fallback.snapshot(),
         )
 
     def restore(self, state: MPCState) -> None:
@@ -289,6 +294,7 @@ class MPC:
         self._blind, self._doubts = state.blind, state.doubts.copy()
         self._line.take(state.line)
         self._commanded = state.commanded.copy()
+        self._fallback.restore(state.fallback)
         self._wanted = None if state.wanted is None else state.wanted.copy()
         if self._stuck is not None and state.stuck is not None:
             self._stuck.restore(state.stuck)
@@ -300,7 +306,8 @@ class MPC:
         NaN in the reference is a free output, NaN in the measurement was not measured: the model's prediction stands
         for it. After a whole horizon without any measurement the last plan goes on to its steady end.
 
-        Where no accepted solution exists the last good plan goes on, shifted, and at its end the input is held.
+        Where no accepted solution exists the last good plan goes on, shifted; at its end the input goes to the steady
+        target, is held, and returns slowly to where it began, each for a horizon: ``Move.action`` says which.
         Raises ValueError on wrong shapes and on infinite measurements.
         """
         wall, cpu = time.perf_counter(), time.thread_time()
@@ -331,7 +338,14 @@ class MPC:
                 else:
                     result = problem.solve(y_free, r, v_previous, plan, S)
             self._plan = plan if result.x is None else result.x
-            u = limits.project(limits.offset + self._T @ problem.moves(self._plan)[0], self._commanded)
+            planned, action = limits.offset + self._T @ problem.moves(self._plan)[0], ""
+            if result.x is not None:
+                self._fallback.solved()
+                u = limits.project(planned, self._commanded)
+            else:
+                u, action = self._fallback(planned, lambda: self._at_rest(r, z), self._commanded)
+                if action != PLAN:
+                    self._plan = problem.hold(limits.coordinates(u) / problem.scale)
             acting = self._line(u)
             if z is not None:
                 self._estimator.predict(z, *self._forcing(z, acting))
@@ -344,6 +358,7 @@ class MPC:
             u=u,
             status=result.status,
             fallback=result.x is None,
+            action=action,
             iterations=result.iterations,
             solve_time=time.perf_counter() - wall,
             cpu_time=time.thread_time() - cpu,
@@ -431,6 +446,7 @@ class MPC:
         self._line = Line(self._latency.total, "command_delay + measurement_delay")
         self._line.fill(u0)
         self._commanded = np.array(u0)
+        self._fallback.reset(u0)
         self._wanted = None
         self._plan = None
         self._readout = None
@@ -439,6 +455,13 @@ class MPC:
             self._stuck.reset()
         self._past = deque(maxlen=0 if self._stuck is None else MEMORY * self._stuck.steps)
         self._doubts = np.zeros(0 if self._observer is None else len(self._observer.measured), dtype=np.int64)
+
+    def _at_rest(self, r: Array, z: Array | None) -> Array | None:
+        """The input (m,) under which the model rests nearest to the next sample of r (H p,); None before z is known."""
+        if z is None or self._readout is None:
+            return None
+        missed = self._readout[list(self.tracked)]
+        return self._steady(r[: len(self.tracked)], self._estimator.disturbance, missed, self._commanded)
 
     def _ahead(self, z: Array, w: Array) -> Array:
         """The lifted state (M,) once the commands on their way have acted, from ``z`` (M,) as measured now."""
@@ -511,25 +534,3 @@ def _held_directions(model: LiftedModel, basis: Array, given: bool) -> tuple[str
         held = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :].T
         known = [f"{combination(row, model.input_names)}: held" for row in held]
     return ("inputs move in the directions that the recordings excite; input_basis overrides", *known)
-
-
-def _warn_of_growth(A: Array, horizon: int) -> None:
-    """Warn if predictions grow so much over the horizon that the QP loses its digits."""
-    radius = _spectral_radius(A)
-    growth = radius**horizon
-    if growth > GROWTH_LIMIT:
-        warnings.warn(
-            f"the model's spectral radius {radius:.4f} grows {growth:.2g} times over {horizon} steps; "
-            "the QP is ill-conditioned: shorten the horizon or regularise the fit",
-            stacklevel=3,
-        )
-
-
-def _spectral_radius(A: Array) -> float:
-    if len(A) > 50:
-        start = np.random.default_rng(0).standard_normal(len(A))
-        try:
-            return float(np.abs(eigs(A, k=1, which="LM", v0=start, tol=1e-3, return_eigenvectors=False)).max())
-        except ArpackError:  # clustered eigenvalues: all of them then, in a second rather than in milliseconds
-            pass
-    return float(np.abs(np.linalg.eigvals(A)).max())
