@@ -266,10 +266,66 @@ def test_a_column_that_varies_above_rounding_is_kept_whatever_their_number() -> 
         assert bool(np.abs(found.factor).max() > 0.0) == kept
 
 
-def test_a_composed_ridge_uses_every_pair_of_directions() -> None:
+def test_a_composed_ridge_is_a_ridge_for_every_direction_of_its_factor() -> None:
+    """Through U s V^T the rows of V^T H are ridges of their own; of a rotation, all are one ridge."""
     rng = np.random.default_rng(0)
     f, a, y = rng.normal(size=(5, 2)), rng.normal(size=(20, 3)), rng.normal(size=(20, 5))
-    assert composed_ridge(f, a, y, 0.1).rank == 6
+    u, s, vt = np.linalg.svd(f, full_matrices=False)
+    each = [ridge(a, y @ u[:, [i]] / s[i], 0.1 / s[i] ** 2).K for i in range(2)]
+    np.testing.assert_allclose(composed_ridge(f, a, y, 0.1).K, vt.T @ np.vstack(each), rtol=1e-12)
+    turned = 3.0 * np.linalg.qr(rng.normal(size=(5, 2)))[0]
+    h = composed_ridge(turned, a, y, 0.1).K
+    np.testing.assert_allclose(turned.T @ (turned @ h @ a.T - y.T) @ a + 0.1 * h, 0.0, atol=1e-12)
+    np.testing.assert_array_equal(composed_ridge(np.zeros((5, 2)), a, y, 0.1).K, 0.0)
+
+
+@pytest.mark.parametrize("shape", [(90, 40), (40, 40), (12, 40), (600, 300)])
+@pytest.mark.parametrize("form", ["dense", "triangle", "wanting rank"])
+@pytest.mark.parametrize("alpha", [1e-10, 1e-3, 1e2])
+def test_a_ridge_by_orthogonal_transformations_is_that_by_singular_values(
+    shape: tuple[int, int], form: str, alpha: float
+) -> None:
+    """Condition numbers up to 1e8: the normal equations would lose all digits, this keeps what the SVD keeps."""
+    rng = np.random.default_rng(shape[0])
+    n, size = shape
+    a, y = rng.normal(size=shape) * np.logspace(0, -8, size), rng.normal(size=(n, 3))
+    if form == "triangle":
+        rows = np.linalg.qr(np.hstack([a, y]), mode="r")
+        a, y = rows[:, :size], rows[:, size:]
+    if form == "wanting rank":
+        a[:, size // 2 :] = a[:, : size - size // 2]
+    u, s, vt = np.linalg.svd(a, full_matrices=False)
+    want = (vt.T * (s / (s**2 + alpha))) @ (u.T @ y)
+    # What both lose: rounding, times the condition number of [A; sqrt(alpha) I].
+    lost = 1e-15 * np.sqrt((s[0] ** 2 + alpha) / alpha) * size
+    found = ridge(a, y, alpha)
+    assert np.abs(found.K.T - want).max() <= lost * np.abs(want).max()
+    assert found.rank is None
+
+
+def test_a_regression_of_what_is_not_finite_is_refused() -> None:
+    a, y = np.ones((4, 2)), np.ones((4, 1))
+    for bad in (np.nan, np.inf):
+        for regress in (lambda a, y: ridge(a, y, 1.0), lambda a, y: composed_ridge(np.eye(1), a, y, 1.0)):
+            for which in (0, 1):
+                given = [a.copy(), y.copy()]
+                given[which][1, 0] = bad
+                with pytest.raises(ValueError, match="NaN or infinite"):
+                    regress(*given)
+
+
+def test_moments_do_not_depend_on_how_rows_arrive() -> None:
+    """Fewer rows than columns wait; where there are enough the first triangle is made, and the rest rotated in."""
+    data = np.random.default_rng(15).normal(size=(2300, 300))
+    whole = accumulate([data]).factor
+    for size in (7, 150, 1100):
+        found = accumulate(data[i : i + size] for i in range(0, len(data), size)).factor
+        np.testing.assert_allclose(np.abs(found), np.abs(whole), atol=1e-11)
+        assert not np.tril(found, -1).any()
+    few = accumulate([data[:40], data[40:90]])
+    assert few.factor.shape[0] < 100
+    centred = data[:90] - data[:90].mean(axis=0)
+    np.testing.assert_allclose(few.factor.T @ few.factor, centred.T @ centred, atol=1e-11)
 
 
 def test_small_weights_of_a_lasso_are_a_lasso() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
+
+from pisplit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -48,6 +50,7 @@ class Moments:
         return Moments(self.n_samples, self.mean / scale, self.factor / scale)
 
 
+@one_blas_thread()
 def accumulate(blocks: Iterable[Array]) -> Moments:
     """Moments of rows that arrive in blocks (N_i, k).
 
@@ -55,14 +58,18 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
     Raises ValueError if there are no rows and for entries that are not finite.
     """
     n_samples = 0
-    triangle: Array | None = None
-    for block in blocks:
-        n_samples += len(block)
-        for first in range(0, len(block), BLOCK):
-            part = block[first : first + BLOCK]
-            rows = np.ones((len(part), part.shape[1] + 1), order="F")
-            rows[:, 1:] = part
-            triangle = _rotated(triangle, rows)
+
+    def parts() -> Iterator[Array]:
+        nonlocal n_samples
+        for block in blocks:
+            n_samples += len(block)
+            for first in range(0, len(block), BLOCK):
+                part = block[first : first + BLOCK]
+                rows = np.ones((len(part), part.shape[1] + 1), order="F")
+                rows[:, 1:] = part
+                yield rows
+
+    triangle = _triangle(parts())
     if triangle is None or n_samples == 0:
         raise ValueError("there are no samples to learn from; give at least one snapshot pair or phase sample")
     bad = np.flatnonzero(~np.isfinite(triangle[:, 1:].sum(axis=0)))
@@ -81,26 +88,46 @@ def block_rows(columns: int) -> int:
     return int(np.clip(BLOCK_BYTES // (8 * max(columns, 1)), 256, 4096))
 
 
+@one_blas_thread()
 def triangular_factor(rows: Array) -> Array:
     """R (min(N, k), k) with R^T R = rows^T rows for rows (N, k), by orthogonal transformations."""
-    triangle: Array | None = None
-    for first in range(0, len(rows), BLOCK):
-        triangle = _rotated(triangle, np.array(rows[first : first + BLOCK], dtype=np.float64, order="F"))
+    starts = range(0, len(rows), BLOCK)
+    triangle = _triangle(np.array(rows[first : first + BLOCK], dtype=np.float64, order="F") for first in starts)
     return np.zeros((0, rows.shape[1])) if triangle is None else np.ascontiguousarray(triangle)
 
 
-def _rotated(triangle: Array | None, rows: Array) -> Array:
-    """Triangle of the QR factorisation of [triangle; rows], a trapezoid while there are fewer rows than columns.
+def _triangle(parts: Iterable[Array]) -> Array | None:
+    """Triangle of the rows of all ``parts`` (overwritten), a trapezoid of fewer rows than columns; None of no part.
 
-    ``rows`` are overwritten: in Fortran order nothing is copied.
+    Rows wait until there are as many as columns: a triangle that grows would be factorised again and again.
+    """
+    triangle: Array | None = None
+    waiting: list[Array] = []
+    for rows in parts:
+        if triangle is not None:
+            triangle = _rotated(triangle, rows)
+            continue
+        waiting.append(rows)
+        if sum(map(len, waiting)) >= rows.shape[1]:
+            triangle = _stacked(waiting)
+            waiting.clear()
+    return _stacked(waiting) if triangle is None and waiting else triangle
+
+
+def _stacked(parts: list[Array]) -> Array:
+    """Triangle (min(N, k), k) of the rows of ``parts``."""
+    stacked = np.vstack(parts)
+    first = np.linalg.qr(stacked[: stacked.shape[1]], mode="r")
+    return _rotated(np.asfortranarray(first), np.asfortranarray(stacked[stacked.shape[1] :]))
+
+
+def _rotated(triangle: Array, rows: Array) -> Array:
+    """Triangle (k, k) of the QR factorisation of [triangle; rows].
+
+    Both are overwritten; in Fortran order nothing is copied. What is below the diagonal stays zero.
     """
     size = rows.shape[1]
-    if triangle is None or len(triangle) < size:
-        stacked = rows if triangle is None else np.vstack([triangle, rows])
-        if len(stacked) <= size:
-            return np.asarray(np.linalg.qr(stacked, mode="r"))
-        triangle, rows = np.asarray(np.linalg.qr(stacked[:size], mode="r")), stacked[size:]
     if len(rows) == 0 or size == 0:
         return triangle
-    result, _, _, _ = lapack.dtpqrt(0, min(REFLECTOR, size), np.asfortranarray(triangle), rows, overwrite_b=1)
-    return np.asarray(np.triu(result))
+    result, _, _, _ = lapack.dtpqrt(0, min(REFLECTOR, size), triangle, rows, overwrite_a=1, overwrite_b=1)
+    return np.asarray(result)

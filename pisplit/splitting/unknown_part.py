@@ -32,13 +32,14 @@ def composed_residual_ridge(
     theta, learned = context.theta, context.theta.learned_columns
     rows, columns, affine = free_block(theta, context.rows)
     a, y, mean, mean_next = context.scaled(moments, affine)
-    w, w_mean = a @ right.T, right @ mean
+    w, w_mean = _across(a, right), right @ mean
     factor, root = left[np.ix_(learned, rows)], np.sqrt(row_weights(theta, context.rows, rows))
     k_h = _prior(context)
     residual = y - w @ (left[learned] @ k_h).T
-    unit = float((w[:, columns] ** 2).sum() / len(columns) * (factor**2).sum() / len(rows))
+    free = w[:, columns]
+    unit = float(np.vdot(free, free) / len(columns) * (factor**2).sum() / len(rows))
     weight = context.weight(alpha, unit, moments.n_samples)
-    fit = composed_ridge(factor / root, w[:, columns], residual, weight)
+    fit = composed_ridge(factor / root, free, residual, weight)
     k_h[np.ix_(rows, columns)] += fit.K / root[:, None]
     if affine:
         offset = mean_next - left[learned] @ (k_h @ w_mean)
@@ -55,7 +56,7 @@ def pulled_back_lasso(context: SplitContext, left: Array, right: Array, moments:
     theta, learned = context.theta, context.theta.learned_columns
     rows, columns, affine = free_block(theta, context.rows)
     a, y, mean, mean_next = context.scaled(moments, affine)
-    w, w_mean = a @ right.T, right @ mean
+    w, w_mean = _across(a, right), right @ mean
     inverse = np.linalg.pinv(left[np.ix_(learned, learned)])[np.searchsorted(learned, rows)]
     others = np.setdiff1d(np.arange(theta.n_columns), learned)
     back = -inverse @ left[np.ix_(learned, others)]
@@ -71,6 +72,12 @@ def pulled_back_lasso(context: SplitContext, left: Array, right: Array, moments:
         offset = inverse @ mean_next + back @ w_mean[others] - k_h[rows] @ w_mean
         k_h[rows, theta.constant_column] = offset / w_mean[theta.constant_column]
     return Unknown(k_h, weight, fit.rank, fit.gap)
+
+
+def _across(a: Array, right: Array) -> Array:
+    """A R^T for ``a`` (N, M) and ``right`` (M, M); A itself for the identity, as without a splitting."""
+    same = np.count_nonzero(right) == len(right) and (np.diagonal(right) == 1.0).all()
+    return a if same else a @ right.T
 
 
 def _prior(context: SplitContext) -> Array:
