@@ -119,9 +119,12 @@ def busy_cores(count: int) -> Iterator[None]:
 
 def measure_ridge(report: Report, rng: np.random.Generator, rounds: int, size: int) -> None:
     """One ridge on the triangle of the data."""
-    triangle = np.linalg.qr(rng.normal(size=(4 * size, size + TARGETS)), mode="r")
+    triangle: Array = np.asarray(np.linalg.qr(rng.normal(size=(4 * size, size + TARGETS)), mode="r"))
     a, y = triangle[:, :size], triangle[:, size:]
-    variants = {"QR": partial(ridge, a, y, 1.0), "singular values": partial(by_singular_values, a, y, 1.0)}
+    variants: dict[str, Callable[[], Any]] = {
+        "QR": partial(ridge, a, y, 1.0),
+        "singular values": partial(by_singular_values, a, y, 1.0),
+    }
     title = f"ridge, triangle of {size} columns and {TARGETS} targets"
     show(report, title, rounds_of(variants, rounds, time.process_time, title))
     distance = float(np.abs(ridge(a, y, 1.0).K - by_singular_values(a, y, 1.0)).max())
