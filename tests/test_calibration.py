@@ -16,7 +16,8 @@ from pisplit.models.calibration.fit import (
     calibrate_from_shapes,
     nominal_parameters,
 )
-from pisplit.models.calibration.parametrised import CalibratedTendons, TendonParameters
+from pisplit.models.calibration.parameters import TendonParameters
+from pisplit.models.calibration.parametrised import CalibratedTendons
 from pisplit.models.calibration.recordings import calibrate_from_recordings
 
 
@@ -41,7 +42,8 @@ def equilibria(arm: TendonArm, n: int, seed: int) -> tuple[np.ndarray, np.ndarra
 
 
 def test_parameters_and_their_vector_are_the_same() -> None:
-    values = np.random.default_rng(0).normal(size=22)
+    values = np.random.default_rng(0).normal(size=24)
+    values[-2] = abs(values[-2])  # friction
     found = TendonParameters.of_vector(values, 0.015).vector(0.015)
     np.testing.assert_allclose(found, values, atol=1e-12)
 
@@ -53,6 +55,7 @@ def test_parameters_and_their_vector_are_the_same() -> None:
         ({"stiffness": np.array([1.0, -1.0, 1.0])}, "stiffness = -1 N/m"),
         ({"slack": np.array([0.0, np.nan, 0.0])}, "slack has 1 NaN"),
         ({"damping": 0.0}, "damping = 0"),
+        ({"friction": -0.1}, "friction = -0.1"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused_in_one_line(arm: TendonArm, change: dict[str, Any], text: str) -> None:
@@ -133,6 +136,28 @@ def test_calibrated_tendons_are_the_tendons_they_were_identified_from(arm: Tendo
     assert exact.success
     assert found.success
     np.testing.assert_allclose(found.state[:12], exact.state[:12], atol=1e-6 * np.abs(exact.state[:12]).max())
+
+
+@pytest.mark.parametrize(("options", "friction"), [({"disks": (0.3, 0.7144)}, 0.2), ({"disks": 2}, 0.0), ({}, 0.2)])
+def test_calibrated_tendons_load_the_rod_as_those_of_the_scene_do(
+    arm: TendonArm, options: dict[str, Any], friction: float
+) -> None:
+    """At rest and in motion, over disks and along the backbone, with and without friction that turns round."""
+    slip = {"slip_speed": 3e-3} if options and friction else {}
+    drawn = replace(arm.tendons, friction=friction, **options, **slip)
+    real = replace(arm, scene=rod.Scene(arm.scene.rod, *[drawn if t is arm.tendons else t for t in arm.scene.terms]))
+    damping = next(t for t in arm.scene.terms if isinstance(t, rod.KelvinVoigt))
+    values = tuple(nominal_parameters(real).vector(0.015).tolist())
+    term = CalibratedTendons(3, 0.015, values, damping, disks=options.get("disks"), rubs=friction > 0.0)
+    scenes = (real.scene, real.passive + term)
+    rng = np.random.default_rng(0)
+    xi, rates = 0.5 * rng.standard_normal((2, 12))
+    u = np.full(3, 0.05)  # taut
+    moving = [s.native(s.motion_residual)(xi, rates, np.zeros(12), u) for s in scenes]
+    resting = [s.statics().residual_function(xi, u) for s in scenes]
+    for found in (moving, resting):
+        expected = np.asarray(found[0])
+        np.testing.assert_allclose(np.asarray(found[1]), expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_straight_tendons_that_converge_are_those_of_the_rod_scene(arm: TendonArm) -> None:

@@ -5,6 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from pisplit.models import rod
 
@@ -34,7 +35,21 @@ def test_chords_of_a_circular_arc_have_their_length() -> None:
     scene = pulled(disks).with_nodes(10)
     angle = curvature * LENGTH / disks
     found = float(readings(scene, "length")(np.full(10, curvature), np.zeros(10), [1.0]))
-    assert found == pytest.approx(disks * 2.0 * (1.0 / curvature - OFFSET) * np.sin(angle / 2.0), rel=1e-12)
+    assert found == pytest.approx(disks * 2.0 * (1.0 / curvature - OFFSET) * np.sin(angle / 2.0), rel=1e-10)
+
+
+def test_chords_of_a_rod_that_turns_and_twists_are_right_on_few_nodes() -> None:
+    """Constant strains are a screw, exp(h [w, v]) from hole to hole; positions between nodes do not come into it."""
+    strains, disks = np.array([3.0, -2.0, 1.5]), 5
+    tendons = rod.Tendons([(OFFSET, 0.0)], rod.Tension(), disks=disks)
+    scene = rod.Scene(body(), tendons, nodes=3)
+    twist = np.zeros((4, 4))
+    twist[:3, :3], twist[2, 3] = [[0.0, -1.5, -2.0], [1.5, 0.0, -3.0], [2.0, 3.0, 0.0]], 1.0
+    pose, r = expm(twist * LENGTH / disks), np.array([OFFSET, 0.0, 0.0])
+    expected = disks * np.linalg.norm(pose[:3, 3] + pose[:3, :3] @ r - r)
+    found = float(readings(scene, "length")(np.tile(strains, 3), np.zeros(9), [1.0]))
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert abs(found - LENGTH) > 1e-3
 
 
 @pytest.mark.parametrize("route", [(0.01, 0.004), rod.Helix(0.012, 0.3, 0.5)])
@@ -87,6 +102,11 @@ def test_the_force_of_the_tendon_reaches_strains_that_are_not_free() -> None:
         tips.append(scene.fields(scene.statics().solve([15.0]).state, [0.1, 0.3])[:, 12:18])
     assert tips[0] == pytest.approx(tips[1], abs=1e-4 * np.abs(tips[1]).max())
     assert tips[0][:, 2] - 1.0 == pytest.approx(tips[1][:, 2] - 1.0, rel=1e-2)
+
+
+def test_a_rod_that_its_nodes_do_not_resolve_between_disks_is_said_to_need_elements() -> None:
+    with pytest.warns(rod.Unresolved, match="loads jump at disks: cut the rod into elements from disk to disk"):
+        pulled(4).with_nodes(2).statics().solve([60.0])
 
 
 # Friction ------------------------------------------------------------------------------------------------------------

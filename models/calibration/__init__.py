@@ -2,7 +2,8 @@
 
 from pisplit.models.calibration.fit import calibrate_from_equilibria, calibrate_from_pairs, calibrate_from_shapes
 from pisplit.models.calibration.model import Calibration, nominal_parameters
-from pisplit.models.calibration.parametrised import CalibratedTendons, TendonParameters
+from pisplit.models.calibration.parameters import TendonParameters
+from pisplit.models.calibration.parametrised import CalibratedTendons
 from pisplit.models.calibration.recordings import calibrate_from_recordings
 
 __all__ = [

@@ -12,7 +12,8 @@ from scipy.optimize import least_squares
 from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.model import Calibration, ParametrisedArm, nominal_parameters
-from pisplit.models.calibration.parametrised import PARAMETERS, TendonParameters
+from pisplit.models.calibration.parameters import TendonParameters
+from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.calibration.resting_shapes import LOST, RestingShapes, central_slope
 
 __all__ = [

@@ -9,15 +9,16 @@ import numpy as np
 
 from pisplit.checks import Array, positive
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons, TendonParameters
+from pisplit.models.calibration.parameters import REFERENCE_SPEED, TendonParameters
+from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons
 from pisplit.models.rod import Displacement, KelvinVoigt, Scene, Tendons
 
 #: What can be identified: parallel tendons; factors of the backbone's stiffness and damping; the routing, by how much
-#: every tendon's point at the tip differs from that at the base; a mass at the tip.
-GROUPS = ("tendons", "bending", "damping", "routing", "load")
+#: every tendon's point at the tip differs from that at the base; a mass at the tip; friction of the tendons.
+GROUPS = ("tendons", "bending", "damping", "routing", "load", "friction")
 #: Spread of every parameter about its first guess that regularises the fit: offsets by half a radius, stiffness and
 #: slack by a factor of e^3 and 1 mm, rounding by e, stiffness and damping of the backbone by e^0.3 and e, points at
-#: the tip by half a radius, a mass there by 10 g.
+#: the tip by half a radius, a mass there by 10 g, friction by 0.1 and the speed over which it turns round by e.
 SPREAD = {
     "offset": 0.5,
     "stiffness": 3.0,
@@ -27,6 +28,8 @@ SPREAD = {
     "damping": 1.0,
     "shift": 0.5,
     "tip_mass": 1.0,
+    "friction": 1.0,
+    "slip_speed": 1.0,
 }
 
 
@@ -59,7 +62,7 @@ class Calibration:
 
 
 def nominal_parameters(arm: TendonArm) -> TendonParameters:
-    """Parameters of the arm's own tendons: where its drawing has them, with the stiffness it says.
+    """Parameters of the arm's own tendons: where its drawing has them, with the stiffness and friction it says.
 
     Those of a calibrated arm are what was identified. Raises ValueError for tendons that are not parallel or not pulled
     by displacements.
@@ -82,6 +85,8 @@ def nominal_parameters(arm: TendonArm) -> TendonParameters:
         slack=np.zeros(m),
         rounding=1e-4,
         shift=np.zeros((m, 2)),
+        friction=tendons.friction,
+        slip_speed=tendons.slip_speed or REFERENCE_SPEED,
     )
 
 
@@ -116,10 +121,13 @@ class ParametrisedArm:
             "damping": 1,
             "shift": 2 * m,
             "tip_mass": 1,
+            "friction": 1,
+            "slip_speed": 1,
         }
         self.spread = np.concatenate([np.full(size, SPREAD[name]) for name, size in parts.items()])
-        groups = np.repeat(GROUPS, [4 * m + 1, 1, 1, 2 * m, 1])
+        groups = np.repeat(GROUPS, [4 * m + 1, 1, 1, 2 * m, 1, 2])
         self.free = np.flatnonzero(np.isin(groups, list(free)))
+        self.rubs = "friction" in free or first.friction > 0.0
         self.scene = self._scene(None)
         self.slots = {"moves": np.arange(m), PARAMETERS: np.arange(m, m + len(self.start))}
 
@@ -166,4 +174,5 @@ class ParametrisedArm:
         total = KelvinVoigt(
             *(sum(getattr(t, name) for t in damping) for name in ("bending", "torsion", "shear", "stretch"))
         )
-        return backbone + CalibratedTendons(self.m, self.radius, values, total, self.name)
+        disks = self.arm.tendons.disks
+        return backbone + CalibratedTendons(self.m, self.radius, values, total, self.name, disks, self.rubs)

@@ -2,96 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import Array, count, finite_array, finite_number, positive
+from pisplit.checks import Array, count, finite_array, positive
+from pisplit.models.calibration.parameters import (
+    OTHERS,
+    REFERENCE_FRICTION,
+    REFERENCE_MASS,
+    REFERENCE_SLACK,
+    REFERENCE_SPEED,
+    REFERENCE_STIFFNESS,
+    TendonParameters,
+)
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.damping import KelvinVoigt
+from pisplit.models.rod.terms.disks import Chords, checked_disks, falling, slipping
 from pisplit.models.rod.terms.loads import Input, Loads
 from pisplit.models.rod.terms.points import add_mass
 from pisplit.models.rod.terms.pull import Pull, TendonTerm
+from pisplit.models.rod.terms.tendons import turned_angle
 from pisplit.smooth import softplus
 
 #: Name of the input that holds the parameters while they are being identified.
 PARAMETERS = "parameters"
-
-
-@dataclass(frozen=True)
-class TendonParameters:
-    """Parameters of straight tendons and of the backbone they bend.
-
-    offset     (m, 2) points in the section plane at the base in m
-    stiffness  (m,) tension per stretch in N/m of a tendon of the backbone's length
-    slack      (m,) stretch in m of the undisplaced tendon on the straight backbone; negative: it hangs loose
-    rounding   width in m over which the corner between slack and taut is rounded
-    shift      (m, 2) by how much the points at the tip differ in m: zero for parallel tendons
-    bending    factor of the elastic moments of the backbone: 1 where its stiffness is what the scene says
-    damping    factor of its Kelvin-Voigt damping
-    tip_mass   mass at the tip in kg beside what the scene has there; negative: the backbone is told too heavy
-    """
-
-    offset: Array
-    stiffness: Array
-    slack: Array
-    rounding: float
-    shift: Array
-    bending: float = 1.0
-    damping: float = 1.0
-    tip_mass: float = 0.0
-
-    def __post_init__(self) -> None:
-        m = len(np.atleast_1d(self.stiffness))
-        for name, shape in (("offset", (m, 2)), ("stiffness", (m,)), ("slack", (m,)), ("shift", (m, 2))):
-            object.__setattr__(self, name, finite_array(getattr(self, name), f"TendonParameters {name}", shape))
-        positive(float(np.min(self.stiffness)), "TendonParameters stiffness", "N/m")
-        for name in ("rounding", "bending", "damping"):
-            positive(getattr(self, name), f"TendonParameters {name}")
-        finite_number(self.tip_mass, "TendonParameters tip_mass")
-
-    @property
-    def n_tendons(self) -> int:
-        """Number of tendons m."""
-        return len(self.stiffness)
-
-    def vector(self, radius: float) -> Array:
-        """Parameters (6 m + 4,) of order one about zero: points in radii, logarithms of all that is positive.
-
-        ``radius`` in m.
-        """
-        return np.concatenate(
-            [
-                self.offset.ravel() / radius,
-                np.log(self.stiffness / REFERENCE_STIFFNESS),
-                self.slack / REFERENCE_SLACK,
-                np.log([self.rounding / REFERENCE_SLACK, self.bending, self.damping]),
-                self.shift.ravel() / radius,
-                [self.tip_mass / REFERENCE_MASS],
-            ]
-        )
-
-    @classmethod
-    def of_vector(cls, values: Array, radius: float) -> TendonParameters:
-        """The inverse of ``vector``. ``values`` (6 m + 4,), ``radius`` in m."""
-        m = (len(values) - 4) // 6
-        return cls(
-            offset=radius * values[: 2 * m].reshape(m, 2),
-            stiffness=REFERENCE_STIFFNESS * np.exp(values[2 * m : 3 * m]),
-            slack=REFERENCE_SLACK * values[3 * m : 4 * m],
-            rounding=REFERENCE_SLACK * float(np.exp(values[4 * m])),
-            bending=float(np.exp(values[4 * m + 1])),
-            damping=float(np.exp(values[4 * m + 2])),
-            shift=radius * values[4 * m + 3 : 6 * m + 3].reshape(m, 2),
-            tip_mass=REFERENCE_MASS * float(values[6 * m + 3]),
-        )
-
-
-REFERENCE_STIFFNESS, REFERENCE_SLACK, REFERENCE_MASS = 1e4, 1e-3, 1e-2
 
 
 @dataclass(frozen=True)
@@ -101,14 +41,17 @@ class CalibratedTendons(TendonTerm):
     Tendon i runs from r_i(0) to r_i(L) in the section plane and has the path a_i = v + w x r_i + r_i', the unstretched
     length l_i = L_i - s_i - u_i with that of the straight backbone L_i, the stretch int |a_i| ds - l_i and, by Hooke's
     law of what is not pulled in, the tension softplus(k_i L / l_i stretch). It adds tension a_i / |a_i| to the
-    internal force and its moment at r_i to the internal moment, as ``rod.Tendons`` do.
+    internal force and its moment at r_i to the internal moment, as ``rod.Tendons`` do. With disks they run straight
+    from hole to hole; with friction the tension falls from the base along the tendon, as it does there.
 
     Args:
         n_tendons: number of tendons m.
         radius: length in m that offsets are measured in.
-        values: parameters (6 m + 4,), see ``TendonParameters.vector``; None makes them an input of the scene.
+        values: parameters (6 m + 6,), see ``TendonParameters.vector``; None makes them an input of the scene.
         backbone: Kelvin-Voigt damping that the damping factor multiplies.
         name: name of the input of the displacements.
+        disks: number of disks at equal distances, or their arclengths (n,) in m; None: along the backbone.
+        rubs: whether friction is looked at; without, its parameters say nothing.
     """
 
     n_tendons: int
@@ -116,12 +59,17 @@ class CalibratedTendons(TendonTerm):
     values: tuple[float, ...] | None
     backbone: KelvinVoigt
     name: str = "tendons"
+    disks: int | Sequence[float] | None = None
+    rubs: bool = False
 
     def __post_init__(self) -> None:
         count(self.n_tendons, "CalibratedTendons n_tendons")
         positive(self.radius, "CalibratedTendons radius", "m")
-        if self.values is not None and len(self.values) != 6 * self.n_tendons + 4:
-            raise ValueError(f"{len(self.values)} parameters of {self.n_tendons} tendons; expected 6 each and 4 more")
+        if self.disks is not None:
+            object.__setattr__(self, "disks", checked_disks(self.disks))
+        if self.values is not None and len(self.values) != 6 * self.n_tendons + OTHERS:
+            told = f"{len(self.values)} parameters of {self.n_tendons} tendons"
+            raise ValueError(f"{told}; expected 6 each and {OTHERS} more")
         if self.values is not None:
             finite_array(self.values, "CalibratedTendons values", (None,))
 
@@ -129,7 +77,7 @@ class CalibratedTendons(TendonTerm):
     def inputs(self) -> tuple[Input, ...]:
         """The displacements, and the parameters while they are being identified."""
         moves = Input(self.name, self.n_tendons)
-        return (moves,) if self.values is not None else (moves, Input(PARAMETERS, 6 * self.n_tendons + 4))
+        return (moves,) if self.values is not None else (moves, Input(PARAMETERS, 6 * self.n_tendons + OTHERS))
 
     @property
     def kept_stiffness(self) -> float:
@@ -157,35 +105,116 @@ class CalibratedTendons(TendonTerm):
         slack = np.zeros(self.n_tendons) if self.values is None else self.parameters.slack
         return Pull(rod.length - slack)
 
+    @property
+    def friction(self) -> float:
+        """Coefficient of friction; 1 while it is being identified: what rubs has no energy."""
+        if not self.rubs:
+            return 0.0
+        return 1.0 if self.values is None else self.parameters.friction
+
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the active stress. ``motion`` is that of the rod; ``loads`` takes what is added."""
-        m, u = self.n_tendons, loads.inputs[self.name]
+        m, rule = self.n_tendons, motion.rule
         given = loads.inputs[PARAMETERS] if self.values is None else ca.SX(ca.DM(list(self.values)))
-        bases, shifts = given[: 2 * m], given[4 * m + 3 : 6 * m + 3]
-        offsets, shifts = (self.radius * ca.reshape(part, 2, m) for part in (bases, shifts))
-        rounding, bending, damping = (ca.exp(given[4 * m + k]) for k in range(3))
-        rule = motion.rule
-        for i in range(m):
-            base, shift = (ca.vertcat(points[:, i], 0) for points in (offsets, shifts))
-            r = ca.repmat(base, 1, rule.n_nodes) + shift @ ca.DM(rule.nodes / rule.length).T
-            a = motion.v + columnwise_cross(motion.w, r) + ca.repmat(shift / rule.length, 1, rule.n_nodes)
-            norm = ca.sqrt(ca.sum1(a * a))
-            shortened = REFERENCE_SLACK * given[3 * m + i] + u[i]
-            straight = ca.sqrt(rule.length**2 + ca.sumsqr(shift))
-            stretch = shortened + norm @ ca.DM(rule.weights) - straight
+        self._correct(motion, loads, given)
+        points, shifts = (self.radius * ca.reshape(given[k : k + 2 * m], 2, m) for k in (0, 4 * m + 3))
+        over = _OverDisks if self.disks is not None else _AlongBackbone
+        paths = over(self, motion, [(points[:, i], shifts[:, i]) for i in range(m)], given)
+        tensions = []
+        for i, (length, decay, mean) in enumerate(zip(*paths.lengths, strict=True)):
+            shortened = REFERENCE_SLACK * given[3 * m + i] + loads.inputs[self.name][i]
+            stretch = shortened + length - ca.sqrt(rule.length**2 + ca.sumsqr(shifts[:, i]))
             stiffness = REFERENCE_STIFFNESS * ca.exp(given[2 * m + i]) / (1.0 - shortened / rule.length)
             # The corner is rounded over a stretch, so that the logarithm of the width is a regular parameter.
-            tension = stiffness * REFERENCE_SLACK * rounding * softplus(stretch / (REFERENCE_SLACK * rounding), 1.0)
-            pull = tension * a / ca.repmat(norm, 3, 1)
-            loads.stress_v += pull
-            loads.stress_w += columnwise_cross(r, pull)
+            width = REFERENCE_SLACK * ca.exp(given[4 * m])
+            tensions.append(stiffness * width * softplus(stretch / width, 1.0) / mean * decay)
+        moment, force = paths.stress(tensions)
+        loads.stress_w += moment
+        loads.stress_v += force
+
+    def _correct(self, motion: Motion, loads: Loads, given: ca.SX) -> None:
+        """Stiffness and damping of the backbone and the mass at the tip."""
+        m, rule = self.n_tendons, motion.rule
+        bending, damping = (ca.exp(given[4 * m + k]) for k in (1, 2))
         profile = motion.rod.profile(rule.nodes)
         elastic = ca.DM(profile.stiffness[:3]) * (motion.w - ca.DM(profile.rest[:3]))
         viscous = ca.DM(np.diag([self.backbone.coefficient(c) for c in range(3)])) @ motion.w_t
         loads.stress_w += (bending - 1.0) * elastic + (damping - 1.0) * viscous
-        if self.values is None or self.values[-1] != 0.0:
-            add_mass(motion, loads, rule.length, REFERENCE_MASS * given[-1])
+        if self.values is None or self.values[6 * m + 3] != 0.0:
+            add_mass(motion, loads, rule.length, REFERENCE_MASS * given[6 * m + 3])
 
     def describe(self, rod: Any) -> str:
         """Number of tendons. ``rod`` is that of the scene."""
-        return f"{self.n_tendons} calibrated tendons, {self.name}"
+        disks = "" if self.disks is None else f" over {len(self.holes(rod.length)) - 1} disks"
+        return f"{self.n_tendons} calibrated tendons{disks}, {self.name}"
+
+
+class _AlongBackbone:
+    """Paths a = v + w x r + r' at the nodes; friction as when the tendons are being pulled.
+
+    Args:
+        term: the tendons.
+        motion: that of the rod.
+        points: of every tendon at the base, and by how much it is elsewhere at the tip, (2,) each in m.
+        given: all parameters.
+    """
+
+    def __init__(self, term: CalibratedTendons, motion: Motion, points: Sequence[tuple[ca.SX, ca.SX]], given: ca.SX):
+        rule = motion.rule
+        self.routes: list[ca.SX] = []
+        self.ways: list[ca.SX] = []
+        self.lengths: tuple[list[ca.SX], list[ca.SX], list[ca.SX]] = ([], [], [])
+        for base, shift in ((ca.vertcat(a, 0), ca.vertcat(b, 0)) for a, b in points):
+            r = ca.repmat(base, 1, rule.n_nodes) + shift @ ca.DM(rule.nodes / rule.length).T
+            a = motion.v + columnwise_cross(motion.w, r) + ca.repmat(shift / rule.length, 1, rule.n_nodes)
+            norm = ca.sqrt(ca.sum1(a * a))
+            decay, mean = ca.SX.ones(1, rule.n_nodes), ca.SX(1)
+            if term.rubs:
+                friction = REFERENCE_FRICTION * given[6 * term.n_tendons + 4]
+                decay = ca.exp(-friction * turned_angle(a, norm, motion, rule.n_nodes))
+                mean = decay @ ca.DM(rule.weights / rule.length)
+            self.routes.append(r)
+            self.ways.append(a / ca.repmat(norm, 3, 1))
+            for part, value in zip(self.lengths, (norm @ ca.DM(rule.weights), decay, mean), strict=True):
+                part.append(value)
+
+    def stress(self, tensions: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """Moments and forces (3, K) at the nodes of ``tensions`` (1, K) there."""
+        moment = force = ca.SX(3, tensions[0].numel())
+        for r, way, tension in zip(self.routes, self.ways, tensions, strict=True):
+            pull = ca.repmat(tension, 3, 1) * way
+            moment, force = moment + columnwise_cross(r, pull), force + pull
+        return moment, force
+
+
+class _OverDisks:
+    """Chords from hole to hole; friction at the disks both ways in motion, as when they are being pulled at rest.
+
+    Arguments as in ``_AlongBackbone``.
+    """
+
+    def __init__(self, term: CalibratedTendons, motion: Motion, points: Sequence[tuple[ca.SX, ca.SX]], given: ca.SX):
+        length = motion.rule.length
+        places = term.holes(length)
+        along = ca.DM(places / length).T
+        pairs = [(ca.vertcat(a, 0), ca.vertcat(b, 0)) for a, b in points]
+        spots = [ca.repmat(base, 1, len(places)) + shift @ along for base, shift in pairs]
+        self.motion, self.chords = motion, Chords(spots, places, motion.rule)
+        sizes, angles = self.chords.measure(motion.w, motion.v)
+        friction = REFERENCE_FRICTION * given[6 * term.n_tendons + 4]
+        slip: ca.SX | float = 1.0
+        if term.rubs and motion.rates.nnz():
+            speed = REFERENCE_SPEED * ca.exp(given[6 * term.n_tendons + 5])
+            slip = slipping(self.chords.rates(motion.w, motion.v, motion.w_t, motion.v_t), speed)
+        self.lengths: tuple[list[ca.SX], list[ca.SX], list[ca.SX]] = ([], [], [])
+        for i in range(len(points)):
+            decay, mean = ca.SX.ones(sizes.shape[0], 1), ca.SX(1)
+            if term.rubs:
+                decay = falling(angles[:, i], friction, slip if isinstance(slip, float) else slip[:, i])
+                mean = ca.dot(decay, ca.DM(self.chords.spacing / length))
+            for part, value in zip(self.lengths, (ca.sum1(sizes[:, i]), decay, mean), strict=True):
+                part.append(value)
+
+    def stress(self, tensions: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """Moments and forces (3, K) at the nodes of ``tensions`` (n, 1) of the chords."""
+        return self.chords.stress(self.motion.w, self.motion.v, ca.horzcat(*tensions))

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.model import Calibration, ParametrisedArm
-from pisplit.models.calibration.parametrised import PARAMETERS, TendonParameters
+from pisplit.models.calibration.parameters import TendonParameters
+from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.calibration.resting_shapes import RestingShapes
 from pisplit.models.rod import Scene
 from pisplit.models.rod.analysis.fields import N_FIELDS

@@ -27,7 +27,7 @@ from pisplit.models.arm.recording import (
 from pisplit.models.arm.resting import turned
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.fit import nominal_parameters
-from pisplit.models.calibration.parametrised import TendonParameters
+from pisplit.models.calibration.parameters import TendonParameters
 
 STEPS, STATIONS = 200, 6
 #: Scenarios of the other robot begin with this, and a preset follows.

@@ -26,7 +26,7 @@ from pisplit.models.calibration.fit import (
     calibrate_from_pairs,
     calibrate_from_shapes,
 )
-from pisplit.models.calibration.parametrised import TendonParameters
+from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.recordings import calibrate_from_recordings
 
 #: Episodes that a twin is rolled out for, and their seed.

@@ -70,12 +70,11 @@ class GaussRule:
     def integrate_to(self, s: ArrayLike) -> Array:
         """Rows (S, K): integrals from 0 to each arclength in ``s`` from values at the nodes."""
         x = 2.0 * np.atleast_1d(np.asarray(s, float)) / self.length - 1.0
-        columns = []
-        for degree in range(self.n_nodes):
-            unit = np.zeros(degree + 1)
-            unit[degree] = 1.0
-            columns.append(np.polynomial.legendre.legval(x, np.polynomial.legendre.legint(unit, lbnd=-1.0)))
-        return 0.5 * self.length * np.stack(columns, axis=1) @ self._to_legendre
+        values = np.polynomial.legendre.legvander(x, self.n_nodes)
+        # int_-1^x P_n = (P_n+1 - P_n-1) / (2 n + 1), with -1 for P_-1
+        below = np.hstack([np.full((len(x), 1), -1.0), values[:, : self.n_nodes - 1]])
+        integrals = (values[:, 1:] - below) / (2.0 * np.arange(self.n_nodes) + 1.0)
+        return np.asarray(0.5 * self.length * integrals @ self._to_legendre)
 
     @cached_property
     def differentiation(self) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.terms.pull import TendonTerm
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
@@ -78,15 +79,25 @@ class Resolution(Rebuilt):
         self.checked = float(bent[worst])
         error = self.error(states[worst])
         if error > CAUTION * COARSE:
-            nodes = self.would_do(states[worst], FINE)
-            what = (
-                f"nodes={_shortest(nodes)} would do"
-                if nodes
-                else f"not even {MOST} would do: cut the rod into elements"
-            )
+            if self._bends_at_disks:
+                what = "loads jump at disks: cut the rod into elements from disk to disk"
+            else:
+                nodes = self.would_do(states[worst], FINE)
+                what = (
+                    f"nodes={_shortest(nodes)} would do"
+                    if nodes
+                    else f"not even {MOST} would do: cut the rod into elements"
+                )
             few = _shortest(self.scene.element_nodes)
             told = f"{few} nodes do not resolve this shape: off by {error:.1g} of the length along the rod; {what}"
             warnings.warn(told, Unresolved, stacklevel=5)
+
+    @cached_property
+    def _bends_at_disks(self) -> bool:
+        """Whether tendons run over disks within an element: more nodes hardly help, and take long to find out."""
+        length, borders = self.scene.rod.length, np.array(self.scene.rule.borders)
+        places = [t.holes(length) for t in self.scene.terms if isinstance(t, TendonTerm)]
+        return any(np.abs(s - borders).min() > 1e-9 * length for s in np.concatenate([np.zeros(1), *places]))
 
     def would_do(self, state: Array, tolerance: float) -> tuple[int, ...] | None:
         """Nodes of every element that resolve the equilibrium near ``state`` to ``tolerance`` of the length.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.disks import checked_disks, holes
 from pisplit.models.rod.terms.loads import Input, Loads
 
 #: Tensions below zero by this part of the largest one, or of 1 N, are rounding of whoever computed them.
@@ -58,6 +60,16 @@ class TendonTerm(ABC):
     name: str
     #: Arclength in m at which they are fixed to the rod, None at the tip.
     end: float | None = None
+    #: Number of disks that they run over in straight pieces, or their arclengths in m; None: along the backbone.
+    disks: int | Sequence[float] | None = None
+
+    def holes(self, length: float) -> Array:
+        """Arclengths (n + 1,) in m of base plate and disks on a rod of ``length`` in m; (0,) without disks.
+
+        Raises ValueError where the last disk is not where the tendons end.
+        """
+        end = length if self.end is None else self.end
+        return np.zeros(1) if self.disks is None else holes(checked_disks(self.disks), end)
 
     @property
     def kept_stiffness(self) -> float:

@@ -14,7 +14,7 @@ from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.section.texts import OPTION, brief
-from pisplit.models.rod.terms.disks import Chords, checked_disks, falling, holes
+from pisplit.models.rod.terms.disks import Chords, checked_disks, falling, slipping
 from pisplit.models.rod.terms.idle import idle_on_the_axis
 from pisplit.models.rod.terms.loads import Input, Loads
 from pisplit.models.rod.terms.pull import Pull, TendonTerm
@@ -255,13 +255,12 @@ class Tendons(TendonTerm):
     def _apply_over_disks(self, motion: Motion, loads: Loads) -> None:
         """The same for chords between disks; offers the ``chord_tension`` too, tendon by tendon."""
         u, chords = loads.inputs[self.name], self._chords(motion.rod, motion.rule)
-        lengths, angles, _ = chords.measure(motion.strains)
-        unpulled, rubs = chords.unloaded(), self.friction > 0.0
+        lengths, angles = chords.measure(motion.w, motion.v)
+        unpulled, rubs = chords.unloaded(motion.profile.rest), self.friction > 0.0
         slip: ca.SX | float = 1.0
         if rubs and self.slip_speed is not None and motion.rates.nnz():
-            rates = chords.rates(motion.strains, motion.rates)
-            beyond = ca.cumsum(rates[::-1, :])[::-1, :][1:, :]  # of the way from each disk to the end
-            slip = ca.tanh(-beyond / self.slip_speed)
+            rates = chords.rates(motion.w, motion.v, motion.w_t, motion.v_t)
+            slip = slipping(rates, self.slip_speed)
         tensions, readings = [], {name: loads.outputs.get(name, ca.SX(0, 1)) for name in READINGS}
         for i in range(len(self.offsets)):
             length = ca.sum1(lengths[:, i])
@@ -276,26 +275,18 @@ class Tendons(TendonTerm):
             slack_at = self.drive.unstretched(length, float(unpulled[i]), u[i])
             for name, value in zip(READINGS, (at_base, length, slack_at, along), strict=True):
                 readings[name] = ca.vertcat(readings[name], value)
-        moment, force = chords.stress(motion.strains, ca.horzcat(*tensions))
+        moment, force = chords.stress(motion.w, motion.v, ca.horzcat(*tensions))
         loads.stress_w += moment
         loads.stress_v += force
         loads.outputs |= readings
 
     def _chords(self, rod: Rod, rule: Rule) -> Chords:
-        return Chords(self.offsets, self.holes(rod.length), rod, rule)
-
-    def holes(self, length: float) -> Array:
-        """Arclengths (n + 1,) in m of base plate and disks on a rod of ``length`` in m; (0,) without disks.
-
-        Raises ValueError where the last disk is not where the tendons end.
-        """
-        end = length if self.end is None else self.end
-        return np.zeros(1) if self.disks is None else holes(checked_disks(self.disks), end)
+        return Chords.of_routes(self.offsets, self.holes(rod.length), rod.length, rule)
 
     def unpulled_lengths(self, rod: Rod, rule: Rule) -> Array:
         """Path length (m,) in m of every tendon on the unloaded rod, by the quadrature of ``rule`` or of its chords."""
         if self.disks is not None:
-            return self._chords(rod, rule).unloaded()
+            return self._chords(rod, rule).unloaded(rod.profile(rule.nodes).rest)
         n = self._n_loaded(rule)
         rest = rod.profile(rule.nodes[:n]).rest
         straight = not np.any(rest[:3])
