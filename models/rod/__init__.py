@@ -7,6 +7,7 @@ A scene is a rod and terms that act on it::
 """
 
 from pisplit.models.rod.answers import Unresolved
+from pisplit.models.rod.dynamics.driven import tip_commands
 from pisplit.models.rod.kinematics.strains import StrainSet
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.section.body import Rod
@@ -19,6 +20,7 @@ from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
 from pisplit.models.rod.terms.distributed import DistributedWrench
 from pisplit.models.rod.terms.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
 from pisplit.models.rod.terms.gravity import Gravity
+from pisplit.models.rod.terms.held import HeldTip
 from pisplit.models.rod.terms.loads import Input, NoEffect
 from pisplit.models.rod.terms.points import PointMass, PointWrench, Spring
 from pisplit.models.rod.terms.routing import Helix, Line
@@ -36,6 +38,7 @@ __all__ = [
     "Elastic",
     "GeneralSection",
     "Gravity",
+    "HeldTip",
     "Helix",
     "Input",
     "KelvinVoigt",
@@ -57,4 +60,5 @@ __all__ = [
     "TipWrench",
     "Tube",
     "Unresolved",
+    "tip_commands",
 ]

@@ -16,6 +16,7 @@ from pisplit.models.rod.sharing import lock_of
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.buoyancy import Buoyancy
 from pisplit.models.rod.terms.gravity import Gravity
+from pisplit.models.rod.terms.held import held_tip
 from pisplit.models.rod.terms.loads import Term, by_row
 from pisplit.models.rod.terms.points import PointMass
 
@@ -114,6 +115,7 @@ def stored(scene: Scene) -> ca.Function:
     if "_stored" not in scene.__dict__:
         _check_base(scene)
         xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
+        balance = replace(balance, reaction=None)  # what holds the tip has no mass
         weights = ca.DM(_weights(scene))
         momentum = -weights * ca.jtimes(balance.residual, xi_tt, xi_t)
         rest = _residual(scene, (), xi, ca.SX(scene.n_strains, 1), u)
@@ -181,7 +183,7 @@ def _potential(scene: Scene, xi: ca.SX) -> ca.SX:
 
 def _residual(scene: Scene, terms: tuple[Term, ...], xi: ca.SX, xi_t: ca.SX, u: ca.SX) -> ca.SX:
     """Residual of the rod with some of the terms, without inertia."""
-    return replace(scene.balance(xi, xi_t, None, u), terms=terms).residual
+    return replace(scene.balance(xi, xi_t, None, u), terms=terms, reaction=None).residual
 
 
 def _weights(scene: Scene) -> Array:
@@ -194,3 +196,6 @@ def _check_base(scene: Scene) -> None:
         raise ValueError(
             "energies are those of a rod on a resting base; give Base(...) a fixed pose and nothing that moves"
         )
+    tip = held_tip(scene.terms)
+    if tip is not None and tip.moves:
+        raise ValueError("energies leave out the work on a tip that is driven; give HeldTip(...) a fixed pose")

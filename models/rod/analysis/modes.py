@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import null_space
 
 from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.analysis.fields import station_points
@@ -82,7 +83,7 @@ def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> 
     """The slowest ``number`` modes (all when not given) of ``scene`` about an equilibrium ``state`` [xi, 0, u]."""
     x = finite_array(state, "state", (scene.n_states,)).copy()
     n = scene.n_strains
-    values, vectors = np.linalg.eig(scene.linearise(x).A)
+    values, vectors = _eigen(scene, x)
     kept = np.flatnonzero(values.imag >= 0.0)
     kept = kept[np.argsort(np.abs(values[kept]))][: None if number is None else count(number, "number")]
     values, strains = values[kept].astype(np.complex128), vectors[:n, kept].T.astype(np.complex128)
@@ -94,6 +95,22 @@ def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> 
     size = np.abs(values)
     damping = np.divide(-values.real, size, out=np.zeros(len(size)), where=size > 0.0)
     return NaturalModes(size / (2.0 * np.pi), damping, values, strains, x, scene)
+
+
+def _eigen(scene: Scene, state: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Eigenvalues (M,) and vectors (2 n, M) of the linear dynamics, of motions that leave a held tip in its place."""
+    made, n = scene.linearise(state).A, scene.n_strains
+    *_, balance = scene.static_balance
+    if balance.holding is None:
+        values, vectors = np.linalg.eig(made)
+        return values.astype(np.complex128), vectors.astype(np.complex128)
+    xi, u, _ = scene.static_balance
+    slope = ca.Function("slope", [xi, u], [balance.holding.slope @ ca.diag(ca.DM(scene.nominal_strains))])
+    unit = np.tile(scene.nominal_strains, 2)
+    basis = null_space(np.asarray(slope(state[:n], state[2 * n :])), rcond=1e-9)
+    both = np.kron(np.eye(2), basis)
+    values, vectors = np.linalg.eig(both.T @ (made * unit / unit[:, None]) @ both)
+    return values.astype(np.complex128), (unit[:, None] * (both @ vectors)).astype(np.complex128)
 
 
 def _position_slope(scene: Scene, points: tuple[float, ...], state: Array) -> Array:

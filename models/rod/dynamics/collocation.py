@@ -11,6 +11,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod.analysis.energy import powers
+from pisplit.models.rod.equations.held import slopes
 from pisplit.models.rod.kinematics.gauss import GaussRule
 from pisplit.models.rod.sharing import Rebuilt
 
@@ -95,9 +96,8 @@ class Collocation(Rebuilt):
     def derivatives(self) -> ca.Function:
         """``(xi, xi_t, xi_tt, u) -> `` exact derivatives of the scaled residual with respect to each, at all stages."""
         xi, xi_t, xi_tt, u, balance = self.equations.dynamic_balance
-        residual = balance.residual / ca.DM(self.equations.nominal_residual)
-        symbols = [xi, xi_t, xi_tt, u]
-        blocks = [ca.jacobian(residual, symbol) for symbol in symbols]
+        symbols, scale = [xi, xi_t, xi_tt, u], ca.diag(1.0 / ca.DM(self.equations.nominal_residual))
+        blocks = [scale @ block for block in slopes(balance, symbols)]
         return ca.Function("derivatives", symbols, blocks, {"cse": True}).map(self.stages)
 
     @cached_property

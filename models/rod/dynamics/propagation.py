@@ -17,6 +17,7 @@ from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.dynamics import motion_check
 from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
 from pisplit.models.rod.dynamics.motion_check import SHARPER, reason
+from pisplit.models.rod.dynamics.projection import Projection
 from pisplit.models.rod.dynamics.space_error import SpaceError
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 from pisplit.models.rod.sharing import Rebuilt, in_turn
@@ -88,6 +89,7 @@ class Propagation(Rebuilt, ABC):
         self.equations = equations_of_motion(scene, balance)
         self.dt = positive(dt, f"{type(self).__name__} dt", "s")
         self.field_map = scene.field_map(stations)
+        self.projection = Projection.of(self.equations)
         self._state: Array | None = None
 
     @abstractmethod
@@ -157,19 +159,20 @@ class Propagation(Rebuilt, ABC):
         commands = self.scene.checked_inputs(u, "u", (None, self.scene.n_inputs))
         if len(commands) == 0:
             raise ValueError("u has no rows; give at least one command")
-        start = self._rest(None) if x0 is None else finite_array(x0, "x0", (self.scene.n_states,))
+        start = self._rest(None) if x0 is None else self._started(x0)
         try:
             states, stats = self.integrate(start, commands, energy)
-            success, message = True, ""
+            message = ""
         except RuntimeError:
             states, stats, message = self._as_far_as_possible(start, commands, energy)
-            success = not message
+        states, lost = self._put_back(states, commands)
+        message = lost or message
         done, size = len(states), 2 * self.scene.n_strains
         found = Trajectory(
             t=self.dt * np.arange(done + 1, dtype=np.float64),
             x=np.vstack([start, np.hstack([states[:, :size], commands[:done]])]),
             u=commands[:done].copy(),
-            success=success,
+            success=not message,
             message=message,
             stats=stats,
             scene=self.equations,
@@ -196,6 +199,9 @@ class Propagation(Rebuilt, ABC):
         for k, command in enumerate(commands):
             try:
                 found, stats = self.integrate(state, command[None, :], energy)
+                found, lost = self._put_back(found, command[None, :])
+                if lost:
+                    raise RuntimeError(lost)
             except RuntimeError as error:
                 message = f"{self.scheme} gave up in step {k} at t = {k * self.dt:g} s: {reason(error)}"
                 return np.array(states).reshape(len(states), width), total, message
@@ -259,7 +265,7 @@ class Propagation(Rebuilt, ABC):
         if x0 is None:
             state = self._rest(u0)
         elif u0 is None:
-            state = finite_array(x0, "x0", (self.scene.n_states,)).copy()
+            state = self._started(x0)
         else:
             raise ValueError("reset takes u0 (rest under inputs) or x0 (any state [xi, xi_t, u]); both are given")
         measured = self._measure(state)
@@ -275,6 +281,9 @@ class Propagation(Rebuilt, ABC):
         command = self.scene.checked_inputs(u, "u", (self.scene.n_inputs,))
         try:
             found, _ = self.integrate(self._present(), command[None, :])
+            found, lost = self._put_back(found, command[None, :])
+            if lost:
+                raise RuntimeError(lost)
             state = np.concatenate([found[0], command])
             measured = self._measure(state)
         except (RuntimeError, ValueError) as error:
@@ -306,6 +315,27 @@ class Propagation(Rebuilt, ABC):
                 f"the snapshot holds {len(snapshot.state)} states; the scene of this plant has {self.scene.n_states}"
             )
         self._state = np.array(snapshot.state) if snapshot.state else None
+
+    def _started(self, x0: ArrayLike) -> Array:
+        """A state to start from; where the tip is held, one that meets what is prescribed there."""
+        start = finite_array(x0, "x0", (self.scene.n_states,)).copy()
+        return start if self.projection is None else self.projection.state(start)
+
+    def _put_back(self, rows: Array, commands: Array) -> tuple[Array, str]:
+        """``rows`` (T, 2 n_strains or more) after commands with the tip where it is held, if it is.
+
+        They end where it cannot be put there; why is the second value.
+        """
+        if self.projection is None:
+            return rows, ""
+        size, placed = 2 * self.scene.n_strains, rows.copy()
+        for k, row in enumerate(rows):
+            at = f"the state after step {k}"
+            try:
+                placed[k, :size] = self.projection.state(np.concatenate([row[:size], commands[k]]), at)[:size]
+            except ValueError as error:
+                return placed[:k], f"{self.scheme} lost the tip: {error}"
+        return placed, ""
 
     def _present(self) -> Array:
         if self._state is None:

@@ -48,6 +48,10 @@ class Trajectory:
         """The 24 fields (T+1, S, 24) at stations; see ``Fields``."""
         return self.scene.fields(self.x, stations)
 
+    def reactions(self) -> Array:
+        """World force in N and moment in N m (T+1, 6) by which a held tip is held; see ``Scene.reactions``."""
+        return self.scene.reactions(self.x)
+
     def energy(self) -> EnergyAccount:
         """Stored energies, work of every term and dissipation over time; needs ``run(..., energy=True)``."""
         from pisplit.models.rod.analysis.energy import account

@@ -16,6 +16,22 @@ from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row
 
 
 @dataclass(frozen=True, eq=False)
+class Holding:
+    """How the reaction at a held tip follows from the balance r: lambda = -(P J)^-1 (P r + s); see ``held``.
+
+    Attributes:
+        along: P (c, n); response: J (n, c); asked: s (c,); slope: G (c, n) of the conditions.
+        multipliers: lambda (c,).
+    """
+
+    along: ca.SX
+    response: ca.SX
+    asked: ca.SX
+    slope: ca.SX
+    multipliers: ca.SX
+
+
+@dataclass(frozen=True, eq=False)
 class Balance:
     """Weak form of the Cosserat equations (paper, eq. cosserat_rod_eq) at the Gauss nodes.
 
@@ -35,6 +51,8 @@ class Balance:
         inputs: symbol of each input by name.
         inertia: whether the rod has inertia.
         dead_force: (3, K) in N adds an internal force at the nodes that does not depend on the motion.
+        reaction: (6,) world force in N and moment in N m by which the tip is held; None where it is free.
+        holding: how the reaction follows from the balance: see ``held``.
     """
 
     rod: Rod
@@ -46,6 +64,8 @@ class Balance:
     inputs: dict[str, ca.SX]
     inertia: bool = True
     dead_force: ca.SX | None = None
+    reaction: ca.SX | None = None
+    holding: Holding | None = None
 
     @cached_property
     def motion(self) -> Motion:
@@ -65,6 +85,9 @@ class Balance:
         loads = Loads.none(self.rule.n_nodes, self.inputs, self.inertia)
         for term in sorted(self.terms, key=lambda t: not isinstance(t, Gravity)):  # what has weight reads the gravity
             loads.add(term, self.motion)
+        if self.reaction is not None:
+            loads.tip_force += self.reaction[:3]
+            loads.tip_moment += self.reaction[3:]
         return loads
 
     @cached_property

@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.rod.answers import finite_answer
+from pisplit.models.rod.equations.held import slopes
 from pisplit.models.rod.sharing import lock_of
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     n = scene.n_strains
     xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
     symbols = [xi, xi_t, xi_tt, u]
-    jacobian = ca.Function("jacobian", symbols, [ca.jacobian(balance.residual, v) for v in symbols], {"cse": True})
+    jacobian = ca.Function("jacobian", symbols, slopes(balance, symbols), {"cse": True})
     parts = x[:n], x[n : 2 * n], x[2 * n :]
     with lock_of(scene):
         acceleration = scene.acceleration(*parts)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from pisplit.models.rod.equations.held import constrained, with_wrench
+
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
@@ -25,24 +27,31 @@ def motion_residual(scene: Scene) -> ca.Function:
     xi, xi_t, xi_tt, u, full = scene.dynamic_balance
     scale = ca.diag(1.0 / ca.DM(scene.nominal_residual))
     force = ca.SX.sym("force", 3, scene.nodes)
-    at_rest = scene.balance(xi, ca.SX(n, 1), None, u, dead_force=force).residual
+    wrench = None if full.reaction is None else ca.SX.sym("wrench", 6)
+    at_rest = with_wrench(scene.balance(xi, ca.SX(n, 1), None, u, dead_force=force), wrench).residual
     (stiffness,) = ca.substitute([ca.jacobian(at_rest, xi)], [force], [full.inertial_force])
-    massless = scene.balance(xi, xi_t, None, u).residual
-    blocks = [
-        scale @ stiffness,
-        scale @ ca.jacobian(massless, xi_t),
-        scale @ ca.jacobian(full.residual, xi_tt),
-        scale @ ca.jacobian(massless, u),
-    ]
+    massless = with_wrench(scene.balance(xi, xi_t, None, u), wrench).residual
+    moving = with_wrench(full, wrench).residual
+    blocks = [stiffness, ca.jacobian(massless, xi_t), ca.jacobian(moving, xi_tt), ca.jacobian(massless, u)]
+    if full.holding is not None and full.reaction is not None and wrench is not None:
+        blocks = list(ca.substitute(blocks, [wrench], [full.reaction]))
+        rate, slope = scene.rod.bending_rate, full.holding.slope
+        asked = [slope, 2.0 / rate * slope, slope / rate**2, ca.jacobian(full.holding.asked, u)]
+        blocks = constrained(full.holding, blocks, asked)
+    blocks = [scale @ block for block in blocks]
+    return _with_slopes([xi, xi_t, xi_tt, u], scale @ full.residual, blocks)
+
+
+def _with_slopes(symbols: list[ca.SX], residual: ca.SX, blocks: list[ca.SX]) -> ca.Function:
+    """``residual`` of ``symbols`` as a function whose Jacobian consists of ``blocks``."""
     names = ["xi", "xi_t", "xi_tt", "u"]
-    symbols = [xi, xi_t, xi_tt, u]
     jacobian = ca.Function(
         "jac_balance",
-        [*symbols, ca.SX.sym("residual", n)],
+        [*symbols, ca.SX.sym("residual", residual.numel())],
         blocks,
         [*names, "out_residual"],
         [f"jac_residual_{name}" for name in names],
         {"cse": True},
     )
     options = {"cse": True, "custom_jacobian": jacobian, **THROUGH_JACOBIAN}
-    return ca.Function("balance", symbols, [scale @ full.residual], names, ["residual"], options)
+    return ca.Function("balance", symbols, [residual], names, ["residual"], options)

@@ -12,6 +12,7 @@ from scipy.linalg import eigh
 
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.answers import finite_answer
+from pisplit.models.rod.equations.held import slopes
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.points import PointWrench
 
@@ -70,12 +71,12 @@ class Tangent:
         probe = PointWrench(s, Input(_FORCE, 3), Input(_MOMENT, 3))
         scene = scene + probe
         xi, u, balance = scene.static_balance
-        residual, motion = balance.residual / ca.DM(scene.nominal_residual), balance.motion
+        motion, scale = balance.motion, ca.diag(1.0 / ca.DM(scene.nominal_residual))
         frame = motion.frame_at(s)
         outputs = [motion.position_at([s]), frame]
-        values = [residual, motion.position_at([s]), ca.vec(frame)]
-        slopes = [ca.jacobian(value, symbol) for value in values for symbol in (xi, u)]
-        self._function = ca.Function("tangent", [xi, u], outputs + slopes, {"cse": True})
+        changes = [scale @ block for block in slopes(balance, [xi, u])]
+        changes += [ca.jacobian(value, symbol) for value in (outputs[0], ca.vec(frame)) for symbol in (xi, u)]
+        self._function = ca.Function("tangent", [xi, u], outputs + changes, {"cse": True})
 
     def sensitivity(self, state: Array) -> PoseSensitivity:
         """Derivatives at an equilibrium ``state`` [xi, 0, u] (n_states,), by the implicit function theorem."""

@@ -13,6 +13,7 @@ from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.chambers import Chambers
+from pisplit.models.rod.terms.held import HeldTip, held_tip
 from pisplit.models.rod.terms.loads import Input, NoEffect, Term
 from pisplit.models.rod.terms.pull import TendonTerm
 from pisplit.models.rod.terms.units import unit_of
@@ -55,10 +56,22 @@ class Contents:
             raise ValueError(f"two {kinds} terms share the input {twice[0]!r}; give one of them another name=")
         if sum(isinstance(t, Base) for t in self.terms) > 1:
             raise ValueError("a scene has one Base; use scene.replace(Base(...))")
+        self._check_held()
         for term in self.terms:
             check = getattr(term, "check", None)
             if check is not None:
                 check(self.rod, self.rule)
+
+    def _check_held(self) -> None:
+        if sum(isinstance(t, HeldTip) for t in self.terms) > 1:
+            raise ValueError("a scene has one HeldTip; use scene.replace(HeldTip(...))")
+        base = [t for t in self.terms if isinstance(t, Base)]
+        if not base or held_tip(self.terms) is None:
+            return
+        if base[0].inputs or base[0].moves:
+            raise ValueError("a HeldTip needs a base at rest; give Base(...) a fixed pose and nothing that moves")
+        if self.rod.strain_set.planar and any((*base[0].position[1:2], *base[0].rotation)):  # type: ignore[index,misc]
+            raise ValueError("a HeldTip of a planar rod needs its base in the x-z plane, not turned")
 
     @cached_property
     def notes(self) -> tuple[str, ...]:

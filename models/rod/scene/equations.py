@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array
 from pisplit.data.columns import in_order
 from pisplit.models.rod.equations.balance import Balance
+from pisplit.models.rod.equations.held import held, slopes
 from pisplit.models.rod.scene.contents import Contents
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
+from pisplit.models.rod.terms.held import HeldTip, held_tip
 from pisplit.models.rod.terms.loads import NoEffect
 from pisplit.models.rod.terms.pull import Pull, TendonTerm
 
@@ -79,7 +81,9 @@ class Equations(Contents):
         moving = accelerations is not None or (at_rest and carried)  # at rest on a moving base: inertia of that motion
         second = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
         motion = (strains, rates, second)
-        return self.balance_type(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
+        made = self.balance_type(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
+        tip = held_tip(self.terms)
+        return made if tip is None else held(made, tip, moving=accelerations is not None)
 
     @cached_property
     def static_balance(self) -> tuple[ca.SX, ca.SX, Balance]:
@@ -97,7 +101,9 @@ class Equations(Contents):
         return xi, xi_t, xi_tt, u, balance
 
     def _say_unread(self, u: ca.SX, balance: Balance) -> None:
-        moved = {i.name for t in self.terms if isinstance(t, Base) for i in t.inputs}  # a pose is in the fields alone
+        moved = {
+            i.name for t in self.terms if isinstance(t, Base | HeldTip) for i in t.inputs
+        }  # a pose is in the fields alone
         start = 0
         for item in self.inputs:
             part = u[start : start + item.size]
@@ -110,7 +116,7 @@ class Equations(Contents):
         """``(xi, xi_t, u) -> xi_tt``: the balance is linear in the accelerations; solved exactly."""
         xi, xi_t, xi_tt, u, balance = self.dynamic_balance
         scale = 1.0 / ca.DM(self.nominal_residual)
-        mass = ca.jacobian(balance.residual, xi_tt)
+        (mass,) = slopes(balance, [xi_tt])
         rest = ca.substitute(balance.residual, xi_tt, ca.SX.zeros(self.n_strains))
         parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
         x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", self.n_inputs)

@@ -226,6 +226,15 @@ class Scene(Equations):
 
         return energies(self, x)
 
+    def reactions(self, x: ArrayLike) -> Array:
+        """World force in N and moment in N m (..., 6) at a held tip of states ``x`` (..., n_states): see ``reactions``.
+
+        Raises ValueError where the tip is free.
+        """
+        from pisplit.models.rod.analysis.reactions import reactions
+
+        return reactions(self, x)
+
     def inverse(
         self, tip: ArrayLike, limits: ArrayLike | None = None, start: ArrayLike | None = None
     ) -> InverseSolution:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -100,13 +101,14 @@ class FixedTip(Rebuilt):
     Args:
         whitened: the balance of the scene.
         clamped: whether the rotation of the tip is prescribed beside its position.
+        axes: world axes along which the position is prescribed; all when not given.
     """
 
-    def __init__(self, whitened: Whitened, clamped: bool) -> None:
+    def __init__(self, whitened: Whitened, clamped: bool, axes: Sequence[int] = (0, 1, 2)) -> None:
         self.whitened = whitened
         self.scene = scene = whitened.search.scene
         planar = scene.rod.strain_set.planar
-        self._axes = [0, 2] if planar else [0, 1, 2]
+        self._axes = [k for k in axes if not (planar and k == 1)]
         self._turns = ([1] if planar else [0, 1, 2]) if clamped else []
         self._force_unit = UNIT * min(scene.rod.stiffness[:2]) / scene.rod.length**2
         self._moment_unit = self._force_unit * scene.rod.length
@@ -197,7 +199,7 @@ class FixedTip(Rebuilt):
         way = frame.inv().apply(goal - place)
         size = np.sqrt(FIRST_WAY * float(np.linalg.norm(way)) / length)
         beside = way[:2] / max(float(np.linalg.norm(way)), 1e-300)
-        if np.linalg.norm(beside) > 0.1 and not self._turns:
+        if np.linalg.norm(beside) > 0.1:
             free = self.scene.rod.strain_set.free
             node = [{0: -beside[1], 1: beside[0]}.get(component, 0.0) for component in free]
             taper = 1.0 - self.scene.rule.nodes / length
@@ -232,15 +234,15 @@ class FixedTip(Rebuilt):
 
         Raises ValueError for a rotation that is none.
         """
-        n, goal = self.scene.n_strains, finite_array(position, "position", (3,))
+        n, place = self.scene.n_strains, finite_array(position, "position", (3,))
         wanted = None if rotation is None else checked_rotation(rotation)
         y, left = self._held(self.whitened.of(self._search.scaled(start[:n])), u)
-        events: list[Event] = []
+        goal, events = self._goal(y, u, place), list[Event]()
         if left > RESTING and not rests:
             return self._near(y, u, Journey(goal, goal, wanted or self._pose(y, u)[1], np.zeros(3), turns))
         if not self._movable(y, u):
             y = self._bent(y, u, goal)
-            place, frame = self._pose(y, u)
+            goal, (place, frame) = self._goal(y, u, goal), self._pose(y, u)
             y, settled = descend(self.way(u, Journey(place, place, frame, np.zeros(3), 0.0)), y, 0.0, self.judge)
             events.append(Event(0.0, "bifurcation", settled))
         place, frame = self._pose(y, u)
@@ -250,6 +252,12 @@ class FixedTip(Rebuilt):
             return self._found(Walk(y, 0.0, False, tuple(events)), u, journey)
         found = walk(self.way(u, journey), y, self.judge)
         return self._found(Walk(found.y, found.t, found.success, (*events, *found.events)), u, journey)
+
+    def _goal(self, y: Array, u: Array, place: Array) -> Array:
+        """``place`` (3,) along the prescribed axes, where the tip is along the others."""
+        goal = self._pose(y, u)[0]
+        goal[self._axes] = place[self._axes]
+        return goal
 
     def _near(self, y: Array, u: Array, journey: Journey) -> FixedTipEquilibrium:
         """The equilibrium near a guess, by Newton's method."""

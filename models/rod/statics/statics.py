@@ -16,16 +16,19 @@ from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium
 from pisplit.models.rod.statics.branch import RESTING, Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
+from pisplit.models.rod.statics.held_scene import HeldScene
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
 from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE, Search, attempt
+from pisplit.models.rod.terms.held import held_tip
 
 
 class Statics(Rebuilt):
     """Equilibria of a scene: the shape that slow loading reaches, or a word that it is another (see ``Branches``).
 
     KINSOL or Newton's method finds a root; unless it is the only one, it is unloaded step by step, or loading is
-    followed from nothing.
+    followed from nothing. Where the tip is held (``HeldTip``), the free rod is loaded first, and its tip is then moved
+    to its place as ``pin_tip`` does.
 
     May be copied, pickled and sent to workers; calls from several threads wait for one another.
 
@@ -45,6 +48,12 @@ class Statics(Rebuilt):
     def branches(self) -> Branches:
         """Tells which equilibrium it is."""
         return Branches(self.search)
+
+    @cached_property
+    def held(self) -> HeldScene | None:
+        """Moves the tip to where it is held, None where it is free."""
+        tip = held_tip(self.scene.terms)
+        return None if tip is None else HeldScene(self.scene, tip)
 
     @cached_property
     def resolution(self) -> Resolution:
@@ -86,6 +95,8 @@ class Statics(Rebuilt):
         scene, search = self.scene, self.search
         u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
+        if self.held is not None:
+            return self._solve_held(self.held, u, None if guess is None else search.strains(x0))
         x, iterations, solver = search.find(u, x0, self.branches.unique(u))
         residual = search.worst(x, u)
         verdict = self._verdict(x, u, residual <= TOLERANCE, x0 if guess is not None else None, guess)
@@ -109,6 +120,43 @@ class Statics(Rebuilt):
             branch=verdict.branch if success else "unverified",
             load_factor=verdict.load_factor,
             scene=scene,
+        )
+
+    def _solve_held(self, held: HeldScene, u: Array, start: Array | None) -> Equilibrium:
+        """Equilibrium with a held tip, near the strains ``start`` (n_strains,) if given."""
+        n, found = self.scene.n_strains, held.solve(u, start)
+        state = np.concatenate([found.state[: 2 * n], u])
+        self._check(state[None], found.success)
+        tensions, slack = self._read(self.search.scaled(state[:n]), u)
+        return Equilibrium(
+            state=state,
+            success=found.success,
+            residual=found.residual,
+            iterations=None,
+            solver="path",
+            tensions=tensions,
+            slack=slack,
+            message=found.message,
+            stable=found.stable,
+            branch=found.branch,
+            load_factor=found.load_factor,
+            scene=self.scene,
+        )
+
+    def _many_held(self, rows: Array, near: Array | None, follow: bool, progress: bool) -> EquilibriumBatch:
+        """Equilibria (N) under rows of inputs, from states ``near`` (N, n_states), or each from the one before it."""
+        found: list[Equilibrium] = []
+        last: Array | None = None
+        for k, u in enumerate(tqdm(rows, disable=not progress, desc="equilibria", unit="row")):
+            found.append(self.solve(u, last if near is None else near[k]))
+            last = found[-1].state if follow and found[-1].success else last
+        return EquilibriumBatch(
+            np.array([f.state for f in found]).reshape(len(rows), self.scene.n_states),
+            np.array([f.success for f in found], dtype=bool),
+            np.array([f.residual for f in found]),
+            np.array([f.tensions for f in found]).reshape(len(rows), -1),
+            np.array([f.branch for f in found], dtype=str),
+            np.array([f.load_factor for f in found]),
         )
 
     def _verdict(self, x: Array, u: Array, converged: bool, start: Array | None, guess: ArrayLike | None) -> Verdict:
@@ -138,6 +186,9 @@ class Statics(Rebuilt):
         """
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
+        if self.held is not None:
+            given = None if near is None else finite_array(near, "near", (len(rows), scene.n_states))
+            return self._many_held(rows, given, False, progress)
         found = np.empty((len(rows), scene.n_strains))
         worst = np.empty(len(rows))
         mild, resting = all(self.branches.unique(u) for u in rows), np.zeros(len(rows), dtype=bool)
@@ -183,6 +234,8 @@ class Statics(Rebuilt):
         """
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
+        if self.held is not None:
+            return self._many_held(rows, None, True, False)
         found, tensions = np.empty((len(rows), scene.n_strains)), []
         worst, factor = np.empty(len(rows)), np.ones(len(rows))
         branch = np.full(len(rows), "unverified", dtype=object)
@@ -235,11 +288,18 @@ class Statics(Rebuilt):
         """
         x = checked_state(self.scene, state)
         n = self.scene.n_strains
+        if self.held is not None:
+            return self.held.margin(x[:n], x[2 * n :])
         return self.branches.margin(self.search.scaled(x[:n]), x[2 * n :])
 
     @in_turn()
     def stability(self, state: ArrayLike) -> Stability:
-        """Stability of an equilibrium ``state`` [xi, 0, u] (n_states,): see ``Stability``."""
+        """Stability of an equilibrium ``state`` [xi, 0, u] (n_states,): see ``Stability``.
+
+        Raises ValueError for a tip that is held: ``margin`` tells of it.
+        """
+        if self.held is not None:
+            raise ValueError("stability is that of a free tip; statics().margin(state) tells of one that is held")
         return stability(self.scene, checked_state(self.scene, state))
 
     @in_turn()
@@ -312,6 +372,8 @@ class Statics(Rebuilt):
         guess: ArrayLike | None,
         turns: float,
     ) -> FixedTipEquilibrium:
+        if self.held is not None:
+            raise ValueError("the tip of this scene is held by a HeldTip; solve() finds its equilibria")
         scene, twist = self.scene, float(finite_array(turns, "turns", ()))
         if twist and scene.rod.strain_set.planar:
             raise ValueError(f"turns = {twist:g} of a planar rod; give a rod that twists, such as strains='kirchhoff'")
