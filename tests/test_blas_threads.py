@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from pisplit import Dictionary, Episodes, LinearEDMDc
+from pisplit import observables as ob
+from pisplit.controllers import MPC
 from pisplit.regression import accumulate, composed_ridge, ridge, triangular_factor
 from pisplit.threads import one_blas_thread
 
 
 def blas_threads() -> set[int]:
-    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    """Threads of every BLAS that is loaded and has more than one to use."""
+    found = [library for library in threadpool_info() if library["user_api"] == "blas"]
+    return {library["num_threads"] for library in found if library.get("threading_layer") != "disabled"}
 
 
 @pytest.fixture(autouse=True)
@@ -96,6 +101,30 @@ def test_regressions_work_with_one_thread(work: Callable[[Any, Any], Any]) -> No
     a, y = watched(rng.normal(size=(60, 8))), rng.normal(size=(60, 3))
     work(a, y)
     assert a.seen <= {1}
+    assert blas_threads() == {2}
+
+
+class Asked:
+    """Numbers that note the threads of BLAS when somebody asks for them."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self.values, self.seen = values, set[int]()
+
+    def __array__(self, *arguments: Any, **options: Any) -> np.ndarray:
+        self.seen |= blas_threads()
+        return self.values
+
+
+def test_moves_and_roll_outs_work_with_one_thread() -> None:
+    """A product with 723 columns takes 0.1 ms, or a time slice where another process has the second core."""
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=(60, 1))
+    data = Episodes([rng.normal(size=(61, 2))], [u], 0.1)
+    model = LinearEDMDc(Dictionary(ob.Identity(), n_states=2, n_inputs=1), alpha=0.1).fit(data).lifted
+    window, inputs = Asked(np.zeros((5, 1))), Asked(u)
+    MPC(model, 5, -1.0, 1.0, 0.5, track=[0]).step(np.zeros(2), window)  # type: ignore[arg-type]
+    model.rollout(np.zeros(2), inputs)  # type: ignore[arg-type]
+    assert window.seen == inputs.seen == {1}
     assert blas_threads() == {2}
 
 

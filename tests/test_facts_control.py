@@ -11,6 +11,7 @@ from pisplit import Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
 from pisplit.controllers import MPC
 from pisplit.controllers.mpc.growth import spectral_radius, warn_of_growth
+from pisplit.controllers.mpc.limits import input_limits
 from pisplit.controllers.mpc.mpc import _each_output
 from pisplit.controllers.mpc.qp import QP, QPSettings
 
@@ -82,3 +83,36 @@ def test_the_first_solve_has_its_own_limit_of_iterations() -> None:
     problem = QP(P, A, settings=settings)
     ends = [problem.solve(np.ones(6), np.full(6, 1.0), np.full(6, 2.0)).iterations for _ in range(2)]
     assert ends == [20, 10]
+
+
+@pytest.mark.parametrize(("m", "across"), [(2, (1.0, -2.0)), (3, (1.0, 1.0, 1.0)), (4, (1.0, -1.0, 0.0, 3.0))])
+def test_an_input_goes_to_the_nearest_one_inside_its_limits(m: int, across: tuple[float, ...]) -> None:
+    """Of a convex set, x is the point nearest to u where no point y of the set has (u - x) . (y - x) > 0."""
+    rng = np.random.default_rng(m)
+    normal = np.array(across) / np.linalg.norm(across)
+    basis = np.linalg.svd(normal[None, :])[2][1:].T
+    limits = input_limits(-1.0, 1.5, 0.4, m, 0.1 * normal, basis)
+    on_bounds = 0
+    for _ in range(200):
+        before = limits.offset + basis @ limits.coordinates(rng.uniform(-1.0, 1.5, m))
+        u = before + rng.normal(size=m)
+        x = limits.project(u, before)
+        low, high = np.maximum(-1.0, before - 0.4), np.minimum(1.5, before + 0.4)
+        assert (x >= low).all() and (x <= high).all() and abs(normal @ (x - limits.offset)) < 1e-9
+        on_bounds += int((np.minimum(x - low, high - x) < 1e-9).any())
+        others = np.array([limits.project(before + rng.normal(size=m), before) for _ in range(20)])
+        assert ((others - x) @ (u - x)).max() < 1e-8
+        np.testing.assert_allclose(limits.project(x, before), x, atol=1e-9)
+    assert on_bounds > 100
+
+
+def test_a_box_that_the_plane_misses_is_refused_whatever_the_directions() -> None:
+    for m in (2, 3):
+        normal = np.ones(m) / np.sqrt(m)
+        basis = np.linalg.svd(normal[None, :])[2][1:].T
+        assert (
+            input_limits(1.0, 2.0, 0.1, m, 2.0 * np.ones(m), basis).project(2.0 * np.ones(m), 2.0 * np.ones(m))[0]
+            == 2.0
+        )
+        with pytest.raises(ValueError, match="contains no input of the training data"):
+            input_limits(1.0, 2.0, 0.1, m, 2.01 * np.ones(m), basis)

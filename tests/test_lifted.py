@@ -173,3 +173,17 @@ def test_arrays_of_a_model_are_its_own() -> None:
     for again in (model, pickle.loads(pickle.dumps(model))):
         with pytest.raises(ValueError, match="read-only"):
             again.A[0, 0] = 99.0
+
+
+def test_states_that_are_columns_are_taken_and_others_are_read_by_a_product() -> None:
+    rng = np.random.default_rng(4)
+    data = Episodes([rng.normal(size=(41, 2))], [rng.normal(size=(40, 1))], 0.1)
+    for terms in ((ob.Constant(), ob.Identity(), ob.Polynomials(2)), (ob.Constant(), ob.Polynomials(3))):
+        model = LinearEDMDc(Dictionary(*terms, n_states=2, n_inputs=1), alpha=1e-3).fit(data).lifted
+        z = rng.normal(size=(3, 4, model.n_lifted))
+        read = model.read(z)
+        np.testing.assert_allclose(read, z @ model.C.T + model.d, rtol=1e-13, atol=1e-13)
+        read[:] = 0.0
+        assert z.all()  # what is read is not a view
+        with pytest.raises(ValueError, match=r"z has shape \(3,\)"):
+            model.read(np.zeros(3 if model.n_lifted != 3 else 4))

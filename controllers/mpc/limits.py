@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,15 +55,56 @@ class InputLimits:
     def _on_plane(self, u: Array) -> Array:
         return self.offset + self.basis @ (self.basis.T @ (u - self.offset))
 
+    @cached_property
+    def _normal(self) -> Array | None:
+        """Unit vector (m,) across the plane where that is all there is across it, None where there is more or less."""
+        m, r = self.basis.shape
+        if m - r != 1:
+            return None
+        normal = np.linalg.svd(self.basis, full_matrices=True)[0][:, -1]
+        return np.where(np.abs(normal) > SPAN_TOLERANCE, normal, 0.0)
+
     def _into(self, u: Array, low: Array, high: Array) -> Array | None:
-        """A point of the box [low, high] on the plane, near u, by alternating projections; None if there is none."""
+        """A point of the box [low, high] on the plane, near u; None if there is none.
+
+        With one direction across the plane it is the nearest; with several, it is found by alternating projections.
+        """
+        m, r = self.basis.shape
+        if m == r:
+            return np.asarray(np.minimum(np.maximum(u, low), high))
         tolerance = SPAN_TOLERANCE * self.amplitude.max()
+        if self._normal is not None:
+            return _nearest(u, low, high, self._normal, self.offset, tolerance)
         for _ in range(200):
             inside = np.clip(u, low, high)
             u = self._on_plane(inside)
             if np.abs(u - inside).max() <= tolerance:
                 return inside
         return None
+
+
+def _nearest(u: Array, low: Array, high: Array, normal: Array, offset: Array, tolerance: float) -> Array | None:
+    """The point nearest to u of the box [low, high] with normal . (x - offset) = 0; None if there is none.
+
+    It is clip(u - t normal) for the t at which the plane is met. Across the plane that point moves one way as t grows,
+    along a line between the 2 m values of t at which a coordinate meets its limit.
+    """
+    inside = np.minimum(np.maximum(u, low), high)
+    near = tolerance / np.abs(normal).max()
+    if abs(normal @ (inside - offset)) <= near:
+        return np.asarray(inside)
+    moves = normal != 0.0
+    t = np.sort(np.concatenate([(u - low)[moves] / normal[moves], (u - high)[moves] / normal[moves]]))
+    points = np.minimum(np.maximum(u - t[:, None] * normal, low), high)
+    across = (points - offset) @ normal
+    if across[0] < 0.0 or across[-1] > 0.0:
+        k = 0 if across[0] < 0.0 else -1
+        return np.asarray(points[k]) if abs(across[k]) <= near else None
+    k = int(np.argmax(across <= 0.0))
+    if k == 0:
+        return np.asarray(points[0])
+    part = across[k - 1] / (across[k - 1] - across[k])
+    return np.asarray(np.minimum(np.maximum(points[k - 1] + part * (points[k] - points[k - 1]), low), high))
 
 
 def input_limits(

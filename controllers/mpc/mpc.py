@@ -37,6 +37,7 @@ from pisplit.data.columns import in_order
 from pisplit.data.input_subspace import combination
 from pisplit.evaluation.matching import Fitted, model_of
 from pisplit.lifted.model import LiftedModel
+from pisplit.threads import one_blas_thread
 
 GAIN = 0.3  # of the disturbance estimate, where there is no delay
 #: Steps in a row in which an entry of the measurement may be rejected; then the model is wrong, and not the sensor.
@@ -300,6 +301,7 @@ class MPC:
             self._stuck.restore(state.stuck)
             self._past = deque(state.past, self._past.maxlen)
 
+    @one_blas_thread()
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
         """The move after measuring ``x_measured`` (n,), with the ``reference_window`` (``horizon``, p) of k+1 on.
 

@@ -22,6 +22,7 @@ from pisplit.dictionary.products import BilinearTerm, Transition, runs, span
 from pisplit.lifted.propagation import propagate, propagate_bilinear, propagate_relifted
 from pisplit.lifted.relifting import ReliftedTerm
 from pisplit.mapping import Mapped
+from pisplit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -263,9 +264,13 @@ class LiftedModel:
         return z
 
     def read(self, z: ArrayLike) -> Array:
-        """States y (..., n) of lifted states z (..., M)."""
-        return real_array(z, "z") @ self.C.T + self.d
+        """States y (..., n) of lifted states z (..., M). Raises ValueError for another last axis."""
+        lifted = real_array(z, "z")
+        if lifted.shape[-1:] != (self.n_lifted,):
+            raise ValueError(f"z has shape {lifted.shape}; expected (..., {self.n_lifted}): the lifted states")
+        return np.array(self._read(lifted))
 
+    @one_blas_thread()
     def rollout(self, z0: ArrayLike, inputs: ArrayLike) -> Rollout:
         """Predict T steps from z0 (M,) under inputs (T, m), or E episodes at once from (E, M) under (E, T, m)."""
         start = real_array(z0, "z0")
@@ -350,6 +355,10 @@ class LiftedModel:
         """sum_i u_i N_i z without its zero rows and columns, or None."""
         return None if self.N is None else BilinearTerm(self.N)
 
+    def _read(self, z: Array) -> Array:
+        """C z + d (..., n) of z (..., M), of which it may be a view."""
+        return z[..., self._selected] if self._selected is not None else np.asarray(z @ self.C.T + self.d)
+
     @cached_property
     def _selected(self) -> slice | NDArray[np.int64] | None:
         """Positions of the states in z if y = C z + d just takes them, or None."""
@@ -388,7 +397,7 @@ class LiftedModel:
                 propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
             else:
                 propagate(self._transition, z)
-            x = (z[..., self._selected] if self._selected is not None else z @ self.C.T + self.d).transpose(1, 0, 2)
+            x = self._read(z).transpose(1, 0, 2)
             z = z.transpose(1, 0, 2)
             within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
             admissible = np.all(np.isfinite(z), axis=2) & np.all(within, axis=2)

@@ -7,11 +7,9 @@ Every figure is of rounds in which the variants take turns: smallest and median.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the other rooms 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from benchmarks.benchmark_identification import sensor_data
+from benchmarks.rounds import busy_cores, rounds_of, show
 from common.report import Report, parser, run
 from pisplit import BilinearEDMDc, Dictionary, Episodes
 from pisplit import observables as ob
@@ -32,7 +30,6 @@ from pisplit.regression import accumulate, ridge
 Array = NDArray[np.float64]
 
 COLUMNS, TARGETS = 723, 144
-BUSY = "while True: pass"
 
 
 def main() -> None:
@@ -47,27 +44,6 @@ def main() -> None:
         measure_fit(report, rng, 1 if given.quick else 3, given.quick)
     report.write(given.json)
     print(f"\n{report}")
-
-
-def rounds_of(
-    variants: Mapping[str, Callable[[], Any]], rounds: int, clock: Callable[[], float], label: str
-) -> dict[str, Array]:
-    """Times [s] (rounds,) of every variant, which take turns after one run of each that does not count."""
-    times: dict[str, list[float]] = {name: [] for name in variants}
-    for i in tqdm(range(rounds + 1), desc=label, unit="round"):
-        for name, action in variants.items():
-            begin = clock()
-            action()
-            if i:
-                times[name].append(clock() - begin)
-    return {name: np.array(spent) for name, spent in times.items()}
-
-
-def show(report: Report, title: str, times: Mapping[str, Array]) -> None:
-    """Smallest and median of every variant."""
-    for name, spent in times.items():
-        report.figure(f"{title}, {name}, smallest", float(spent.min()), "s")
-        report.figure(f"{title}, {name}, median", float(np.median(spent)), "s")
 
 
 def measure_threads(report: Report, rng: np.random.Generator, rounds: int) -> None:
@@ -103,18 +79,6 @@ def measure_threads(report: Report, rng: np.random.Generator, rounds: int) -> No
             for other in ("two threads", "two threads, not limited"):
                 ratio = float(np.median(times[other]) / np.median(times["one thread"]))
                 report.figure(f"{title}, {other} : one", ratio, "", ("<=", 1.3) if other == "two threads" else None)
-
-
-@contextmanager
-def busy_cores(count: int) -> Iterator[None]:
-    """So many processes that do nothing but take time."""
-    processes = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 def measure_ridge(report: Report, rng: np.random.Generator, rounds: int, size: int) -> None:
