@@ -99,7 +99,7 @@ def test_alpha_is_chosen_on_held_out_training_episodes(penalty: str) -> None:
     theta = Dictionary(ob.Identity(), ob.Delays(states=1, inputs=1), n_states=1, n_inputs=1)
     model = LinearEDMDc(theta, alpha="cv", penalty=penalty).fit(d1)
     search = model.cv_
-    assert search is not None and search.held_out == (5,)
+    assert search is not None and search.held_out == (0, 1, 2, 3, 4, 5)
     assert search.errors[list(search.alphas).index(search.chosen)] == search.errors.min()
     assert model.alpha_ == search.chosen
     one = LinearEDMDc(theta, alpha="cv", penalty=penalty).fit(d1[0]).cv_
@@ -112,7 +112,9 @@ def test_pairs_of_held_out_episodes_are_avoided_where_possible() -> None:
     pairs = d1.pairs()
     model = LinearEDMDc(Dictionary(ob.Identity(), n_states=1, n_inputs=1), alpha="cv")
     model.fit(d1, pairs=pairs.take(pairs.episode != 2))
-    assert model.cv_ is not None and model.cv_.held_out == (2,)
+    assert model.cv_ is not None and model.cv_.held_out == (0, 1, 2, 3, 4)
+    once = LinearEDMDc(model.theta, alpha="cv", cv_folds=1).fit(d1, pairs=pairs.take(pairs.episode != 2))
+    assert once.cv_ is not None and once.cv_.held_out == (2,)
 
 
 def test_fitting_and_predicting_change_no_argument() -> None:

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, TwinEDMDc
 from pisplit import observables as ob
-from pisplit.estimators.alpha_search import choose
+from pisplit.estimators.alpha_search import preferred
 from pisplit.estimators.boundedness import EXCURSION, Excitation
 from pisplit.evaluation.rollouts import rollout_errors
 
@@ -68,22 +68,29 @@ def test_the_limit_of_several_data_sets_is_that_of_the_one_which_reaches_farthes
         assert_array_equal(found.x_history[0, 0], [0.5, 2.0])  # roll-outs begin in the larger set
 
 
+NOTHING = np.full(4, np.inf)
+
+
 def test_the_first_alpha_in_order_of_preference_that_stays_bounded_is_taken():
     errors = np.array([4.0, 1.0, 1.04, 3.0])
-    assert choose(ALPHAS, errors, 0.0, ()).chosen == 1e-2
-    assert choose(ALPHAS, errors, 0.05, ()).chosen == 1.0
-    found = choose(ALPHAS, errors, 0.05, (), lambda alpha: alpha > 10.0)
-    assert (found.chosen, found.unbounded, found.error) == (100.0, (1e-2, 1.0), 3.0)
+    assert preferred(ALPHAS, errors, NOTHING, 0.0).best == 1
+    assert preferred(ALPHAS, errors, NOTHING, 0.05).best == 2
+    found = preferred(ALPHAS, errors, NOTHING, 0.05, lambda i: i == 3)
+    assert (found.best, found.passed, found.bounded) == (3, (1, 2), True)
     tried = []
-    choose(ALPHAS, errors, 0.0, (), lambda alpha: bool(tried.append(alpha)) or len(tried) == 2)
-    assert tried == [1e-2, 1.0]  # nothing is rolled out that is not asked for
+    preferred(ALPHAS, errors, NOTHING, 0.0, lambda i: bool(tried.append(i)) or len(tried) == 2)
+    assert tried == [1, 2]  # nothing is rolled out that is not asked for
 
 
 def test_where_nothing_stays_bounded_errors_alone_decide_and_all_are_named():
-    found = choose(ALPHAS, np.array([4.0, 1.0, np.inf, 3.0]), 0.0, (), lambda alpha: False)
-    assert (found.chosen, found.unbounded) == (1e-2, (1e-4, 1e-2, 100.0))
-    with pytest.warns(UserWarning, match="every alpha of the grid diverged"):
-        assert choose(ALPHAS, np.full(4, np.inf), 0.0, ()).chosen == 100.0
+    found = preferred(ALPHAS, np.array([4.0, 1.0, np.inf, 3.0]), NOTHING, 0.0, lambda i: False)
+    assert (found.best, found.passed, found.bounded) == (1, (0, 1, 3), False)
+
+
+def test_where_everything_diverges_the_fewest_folds_decide_and_then_the_largest_alpha():
+    few = np.array([np.inf, 2.0, 3.0, np.inf])
+    assert preferred(ALPHAS, NOTHING, few, 0.0).best == 1
+    assert preferred(ALPHAS, NOTHING, NOTHING, 0.0).best == 3
 
 
 @pytest.mark.parametrize("estimator", [LinearEDMDc, BilinearEDMDc])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,10 +9,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.episodes import Pairs
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.problem import Problem
-from pisplit.evaluation.rollouts import rollout_errors
+from pisplit.estimators.fold_errors import LOST, FoldErrors, RolloutVerdict, constant_error, judged, reasons
+from pisplit.estimators.problem import HeldOut, Problem
 from pisplit.regression.moments import Moments, accumulate
 from pisplit.regression.scaling import column_scales
 from pisplit.splitting import SplitFit
@@ -22,25 +21,31 @@ Array = NDArray[np.float64]
 #: A fit to the moments of pairs, for one alpha.
 Fit = Callable[[Moments, float], SplitFit]
 
-MAX_HELD_OUT = 4
-
 
 @dataclass(frozen=True)
 class AlphaSearch:
     """alphas (G,) tried, their median squared errors (G,) of held-out roll-outs in scaled states.
 
+    Errors are geometric means over folds; infinite where a model diverges on a fold on which another does not.
+
     chosen     the choice
-    held_out   numbers of the episodes that were held out
+    held_out   numbers of the episodes that were held out, in one fold or another
     unbounded  alphas that were passed over: their models do not stay bounded under the excitation
     bounded    whether that of the choice does; None if nobody asked
+    folds      errors (G, F) fold by fold
+    names      (F,) of the folds: "recording 3", "steps 40 to 60"
+    reasons    why the choice may be wrong, a line each; fit warns of them
     """
 
     alphas: Array
     errors: Array
     chosen: float
     held_out: tuple[int, ...]
-    unbounded: tuple[float, ...] = ()
-    bounded: bool | None = None
+    unbounded: tuple[float, ...]
+    bounded: bool | None
+    folds: Array
+    names: tuple[str, ...]
+    reasons: tuple[str, ...]
 
     @property
     def error(self) -> float:
@@ -71,10 +76,19 @@ class Choice:
         return self.bounded is False or bool(self.search and self.search.unbounded)
 
 
+@dataclass(frozen=True)
+class Preference:
+    """Position ``best`` of the choice in a grid, positions ``passed`` over, and whether the choice is ``bounded``."""
+
+    best: int
+    passed: tuple[int, ...]
+    bounded: bool | None
+
+
 def fit_at(problem: Problem, fit: Fit, alpha: float) -> Choice:
     """``fit`` to all pairs of ``problem`` with a given ``alpha``."""
     found = fit(problem.moments, alpha)
-    bounded = problem.stays_bounded(found.K, problem.model(found.K)) if problem.excitation else None
+    bounded = problem.stays_bounded(found.K) if problem.excitation else None
     return Choice(found, alpha, None, bounded)
 
 
@@ -87,92 +101,71 @@ def fit_with_search(
 ) -> Choice:
     """``fit`` to all pairs of ``problem`` with the best of ``alphas`` on roll-outs of its held-out episodes.
 
-    The error is the median over the roll-outs of ``states`` (output group, names or indices; default all), each in
-    units of its quantity's spread; ``tolerance`` as in :func:`choose`.
+    The error of a fold is that of its roll-outs of ``states`` (output group, names or indices; default all), each in
+    units of its quantity's spread; ``tolerance`` as in :func:`preferred`.
     """
-    held = problem.held
-    assert held is not None
-    weights = state_weights(problem.theta, problem.pairs)
-    learned = lru_cache(maxsize=None)(lambda alpha: fit(held.moments, alpha))
-
-    def error(alpha: float) -> float:
-        k = learned(alpha).K
-        if not np.isfinite(k).all():
-            return np.inf
-        return rollout_errors(problem.without_held_out(k), held.episodes, states, weights).median
-
-    def bounded(alpha: float) -> bool:
-        k = learned(alpha).K
-        return problem.stays_bounded(k, problem.without_held_out(k))
-
     grid = np.array(alphas, dtype=np.float64)
-    errors = np.array([error(alpha) for alpha in grid.tolist()])
-    search = choose(grid, errors, tolerance, held.numbers, bounded if problem.excitation else None)
-    if held.moments is problem.moments:  # that is the model which was rolled out
-        return Choice(learned(search.chosen), search.chosen, search, search.bounded)
-    best = fit_at(problem, fit, search.chosen)
-    return Choice(best.fit, search.chosen, search, best.bounded)
+    weights = state_weights(problem.theta, problem.pairs)
+    final = lru_cache(maxsize=None)(lambda alpha: fit(problem.moments, alpha))
+
+    def verdict(held: HeldOut, alpha: float) -> RolloutVerdict:
+        k = (final(alpha) if held.moments is problem.moments else fit(held.moments, alpha)).K
+        if not np.isfinite(k).all():
+            return LOST
+        return judged(problem.model(k, held), held.fold, states, weights)
+
+    verdicts = [[verdict(held, alpha) for held in problem.held] for alpha in grid.tolist()]
+    folds = [held.fold for held in problem.held]
+    constant = [constant_error(held.base, held.fold, states, weights) for held in problem.held]
+    found = FoldErrors.of(folds, verdicts, constant)
+
+    def bounded(position: int) -> bool:
+        return problem.stays_bounded(final(float(grid[position])).K)
+
+    errors = found.joint()
+    best = preferred(grid, errors, found.fallback(), tolerance, bounded if problem.excitation else None)
+    labels = [f"alpha = {alpha:.3g}" for alpha in grid]
+    allowed = ~np.isin(np.arange(len(grid)), best.passed)
+    said = reasons(found, labels, best.best, allowed, tolerance)
+    chosen = float(grid[best.best])
+    numbers = tuple(sorted({i for fold in folds for i in fold.numbers}))
+    passed = tuple(grid[list(best.passed)].tolist())
+    names = tuple(fold.name for fold in folds)
+    search = AlphaSearch(grid, errors, chosen, numbers, passed, best.bounded, found.errors, names, said)
+    return Choice(final(chosen), chosen, search, best.bounded)
 
 
-def choose(
+def preferred(
     alphas: Array,
     errors: Array,
+    fallback: Array,
     tolerance: float,
-    held_out: tuple[int, ...],
-    bounded: Callable[[float], bool] | None = None,
-) -> AlphaSearch:
+    bounded: Callable[[int], bool] | None = None,
+) -> Preference:
     """The largest alpha within ``tolerance`` of the smallest error, among those whose models stay ``bounded``.
 
-    ``alphas`` (G,) were tried on the episodes ``held_out``, with these ``errors`` (G,). Models are looked at in the
-    order of preference until one stays bounded. Where none does, the choice is that of the errors alone.
+    ``alphas`` (G,) with their ``errors`` (G,); where all of these are infinite, ``fallback`` (G,) takes their place,
+    and where that is, the largest alpha. Models are looked at in the order of preference until one stays bounded.
+    Where none does, the choice is that of the errors alone.
     """
-    left = errors.copy()
+    values = next(
+        (v for v in (errors, fallback) if np.isfinite(v).any()), np.where(alphas == alphas.max(), 0.0, np.inf)
+    )
+    left = values.copy()
+    passed: list[int] = []
     while np.isfinite(left).any():
-        best = _preferred(alphas, left, tolerance)
-        if bounded is None or bounded(float(alphas[best])):
-            passed = tuple(alphas[np.isinf(left) & np.isfinite(errors)].tolist())
-            return AlphaSearch(alphas, errors, float(alphas[best]), held_out, passed, None if bounded is None else True)
+        best = _first(alphas, left, tolerance)
+        if bounded is None or bounded(best):
+            return Preference(best, tuple(sorted(passed)), None if bounded is None else True)
+        passed.append(best)
         left[best] = np.inf
-    tried = tuple(alphas[np.isfinite(errors)].tolist())
-    if tried:
-        best = _preferred(alphas, errors, tolerance)
-        return AlphaSearch(alphas, errors, float(alphas[best]), held_out, tried, False)
-    last = float(alphas.max())
-    warnings.warn(f"every alpha of the grid diverged on held-out roll-outs; took {last:g}", stacklevel=5)
-    return AlphaSearch(alphas, errors, last, held_out, tried, None if bounded is None else bounded(last))
+    return Preference(_first(alphas, values, tolerance), tuple(sorted(passed)), False)
 
 
-def _preferred(alphas: Array, errors: Array, tolerance: float) -> int:
+def _first(alphas: Array, errors: Array, tolerance: float) -> int:
     """Position of the largest alpha within ``tolerance`` of the smallest error."""
     level = np.flatnonzero(errors <= (1.0 + tolerance) * errors.min())
     return int(level[np.argmax(alphas[level])])
-
-
-def hold_out(d1: Episodes, pairs: Pairs, delays: int) -> tuple[Pairs, Episodes, tuple[int, ...]]:
-    """Training pairs, held-out episodes and their numbers, of ``pairs`` of ``d1`` with ``delays`` steps of history.
-
-    Episodes with the fewest training pairs are held out, later ones first: drawn pairs stay in use where possible, and
-    episodes without any cost nothing (the training pairs are then ``pairs`` itself).
-    A single episode is cut in time: its last third is held out.
-    """
-    if len(d1) == 1:
-        steps = len(d1.us[0])
-        cut = max(int(np.quantile(pairs.index, 2 / 3)), delays + 1)
-        training = pairs.take(pairs.index < cut)
-        if len(training) == 0 or steps - cut <= delays:
-            raise ValueError("alpha='cv' needs more data: one episode is too short to hold out its end; give alpha")
-        held = Episodes([d1.xs[0][cut:]], [d1.us[0][cut:]], d1.dt)
-        return training, held, (0,)
-    numbers = np.bincount(pairs.episode, minlength=len(d1))
-    long_enough = [i for i in range(len(d1)) if len(d1.us[i]) > delays]
-    order = sorted(long_enough, key=lambda i: (numbers[i], -i))
-    unused = sum(numbers[i] == 0 for i in order)
-    names = tuple(sorted(order[: min(MAX_HELD_OUT, max(1, len(order) // 5, unused))]))
-    kept = ~np.isin(pairs.episode, names)
-    training = pairs if kept.all() else pairs.take(kept)
-    if len(training) == 0:
-        raise ValueError("alpha='cv' has no pairs left beside the held-out episodes; give more episodes, or alpha")
-    return training, d1.subset(names), names
 
 
 def state_weights(theta: Dictionary, pairs: Pairs) -> Array:

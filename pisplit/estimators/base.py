@@ -10,13 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import finite_array, non_negative, one_of, positive
+from pisplit.checks import count, finite_array, non_negative, one_of, positive
 from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search, hold_out
+from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
+from pisplit.estimators.folds import Fold, fold_moments, make_folds
 from pisplit.estimators.instruments import instrumented_moments
 from pisplit.estimators.parameters import Parameters
 from pisplit.estimators.problem import HeldOut, Problem
@@ -35,7 +36,7 @@ _E = TypeVar("_E", bound="Estimator")
 Equilibria = tuple[ArrayLike, ArrayLike]
 
 #: Grids of alpha="cv", relative.
-GRIDS = {"ridge": tuple(np.logspace(-10, 1, 12).tolist()), "lasso": tuple(np.logspace(-6, -1, 6).tolist())}
+GRIDS = {"ridge": tuple(np.logspace(-10, 3, 14).tolist()), "lasso": tuple(np.logspace(-6, -1, 6).tolist())}
 #: A bound that takes more than 1 % off the spectral radius changes what the model says: fit warns.
 NOTABLE = 1.01
 
@@ -54,6 +55,8 @@ class Estimator(Parameters):
     alphas: Sequence[float] | None
     cv_states: str | Sequence[int] | Sequence[str] | None
     cv_tolerance: float
+    cv_horizon: int | None
+    cv_folds: int | None
     max_radius: float | None
     instruments: int = 0
 
@@ -112,10 +115,19 @@ class Estimator(Parameters):
         theta = self._dictionary(d1)
         chosen = d1.pairs(theta.n_delays) if pairs is None else d1.checked_pairs(pairs, theta.n_delays)
         rest = None if equilibria is None else _resting(equilibria, theta)
-        held = hold_out(d1, chosen, theta.n_delays) if self.alpha == "cv" else None
+        start = max(theta.n_delays, 0 if pairs is None else pairs.n_delays)
+        folds: tuple[Fold, ...] = ()
+        if self.alpha == "cv":
+            folds = make_folds(d1, chosen, theta.n_delays, start, self.cv_horizon, self.cv_folds)
         moments = self._moments(theta, chosen, rest)
         unlearned = np.zeros((len(theta.learned_columns), theta.n_columns))
-        base = lifted_model(theta, unlearned, d1, chosen, {}, more)
+
+        def base(pairs: Pairs) -> LiftedModel:
+            return lifted_model(theta, unlearned, d1, pairs, {}, more)
+
+        whole = base(chosen)
+        learned = self._fold_moments(theta, folds, chosen, moments, rest)
+        bases = [whole if fold.training is chosen else base(fold.training) for fold in folds]
         return Problem(
             d1=d1,
             theta=theta,
@@ -123,17 +135,23 @@ class Estimator(Parameters):
             n_equilibria=0 if rest is None else len(rest[0]),
             moments=moments,
             scale=column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale),
-            base=base,
-            held=None
-            if held is None
-            else HeldOut(
-                episodes=held[1],
-                numbers=held[2],
-                moments=moments if held[0] is chosen else self._moments(theta, held[0], rest),
-                base=base if held[0] is chosen else lifted_model(theta, unlearned, d1, held[0], {}, more),
+            base=whole,
+            held=tuple(map(HeldOut, folds, learned, bases)),
+            excitation=_exciting(
+                excitation, theta, d1 if folds else None, chosen, more if isinstance(more, Pairs) else None
             ),
-            excitation=_exciting(excitation, theta, chosen, held, more if isinstance(more, Pairs) else None),
         )
+
+    def _fold_moments(
+        self, theta: Dictionary, folds: Sequence[Fold], pairs: Pairs, whole: Moments, rest: tuple[Array, Array] | None
+    ) -> list[Moments]:
+        """Moments of the training pairs of every fold."""
+        if not folds:
+            return []
+        if self.instruments:
+            return [whole if f.training is pairs else self._moments(theta, f.training, rest) for f in folds]
+        resting = None if rest is None else pair_moments(theta, pairs.take(np.zeros(len(pairs), dtype=bool)), rest)
+        return fold_moments(folds, pairs, whole, lambda part: pair_moments(theta, part), resting)
 
     def _moments(self, theta: Dictionary, pairs: Pairs, rest: tuple[Array, Array] | None) -> Moments:
         if self.instruments:
@@ -147,7 +165,7 @@ class Estimator(Parameters):
             found = fit(moments, alpha)
             return found if self.max_radius is None else limited(found, problem.theta, problem.scale, self.max_radius)
 
-        if problem.held is None:
+        if not problem.held:
             return fit_at(problem, within, float(self.alpha))
         grid = default if self.alphas is None else self.alphas
         return fit_with_search(problem, within, grid, self.cv_states, self.cv_tolerance)
@@ -161,6 +179,8 @@ class Estimator(Parameters):
                 "data's range); give more data or a larger alpha",
                 stacklevel=3,
             )
+        for reason in choice.search.reasons if choice.search else ():
+            warnings.warn(reason, stacklevel=3)
         radius = float(fit.details.get("unbounded_radius", 0.0))
         if self.max_radius is not None and radius > NOTABLE * self.max_radius:
             warnings.warn(
@@ -191,13 +211,22 @@ class Estimator(Parameters):
 
 
 def check_options(
-    theta: Any, alpha: Any, scale: Any, alphas: Any, cv_tolerance: Any, max_radius: Any, cv_states: Any = None
+    theta: Any,
+    alpha: Any,
+    scale: Any,
+    alphas: Any,
+    cv_tolerance: Any,
+    max_radius: Any,
+    cv_states: Any = None,
+    cv_horizon: Any = None,
+    cv_folds: Any = None,
 ) -> None:
     """Raise ValueError for options that every estimator has and that can be nothing of their kind, in one line.
 
     ``theta`` is a Dictionary, ``alpha`` a number of at least zero or "cv", ``scale`` "quantity", "column" or None,
     ``alphas`` numbers of at least zero or None, ``cv_tolerance`` a number of at least zero, ``max_radius`` a positive
-    number or None, ``cv_states`` a name, names, positions or None.
+    number or None, ``cv_states`` a name, names, positions or None, ``cv_horizon`` and ``cv_folds`` whole numbers of at
+    least one, or None.
     """
     if not isinstance(theta, Dictionary):
         raise ValueError(f"theta is a {type(theta).__name__}; expected a Dictionary")
@@ -218,6 +247,9 @@ def check_options(
         positive(max_radius, "max_radius")
     if not (cv_states is None or isinstance(cv_states, str) or np.iterable(cv_states)):
         raise ValueError(f"cv_states = {cv_states!r}; expected an output group, names or positions of states")
+    for value, name in ((cv_horizon, "cv_horizon"), (cv_folds, "cv_folds")):
+        if value is not None:
+            count(value, name)
 
 
 def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
@@ -231,17 +263,13 @@ def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
 
 
 def _exciting(
-    inputs: ArrayLike | None,
-    theta: Dictionary,
-    pairs: Pairs,
-    held: tuple[Pairs, Episodes, tuple[int, ...]] | None,
-    simulated: Pairs | None,
+    inputs: ArrayLike | None, theta: Dictionary, d1: Episodes | None, pairs: Pairs, simulated: Pairs | None
 ) -> Excitation | None:
-    """The excitation, from states of all data that this fit may know."""
+    """The excitation, from states of all data that this fit may know: ``pairs``, and all of ``d1`` where it chooses."""
     if inputs is None:
         return None
-    data = [pairs, *([held[1].pairs(theta.n_delays)] if held else []), *([simulated] if simulated is not None else [])]
-    return Excitation.of(inputs, data, theta.names.quantities)
+    known = pairs if d1 is None else d1.pairs(theta.n_delays)
+    return Excitation.of(inputs, [known, *([simulated] if simulated is not None else [])], theta.names.quantities)
 
 
 def _history(history: Any, theta: Dictionary) -> tuple[ArrayLike, ArrayLike | None]:

@@ -36,6 +36,11 @@ class DirectEDMDc(Estimator):
     max_radius  bound on the spectral radius of A (the constant apart), that of the undriven model if it is bilinear:
                modes outside move onto the circle, others and delays stay
                (:func:`pisplit.estimators.boundedness.limited_rows`)
+    cv_horizon  steps of the roll-outs that choose alpha; None: to the end of recordings. Give a few steps, as many as a
+               controller looks ahead, where the plant is unstable: small errors grow there whatever the model
+    cv_folds   number of folds (:func:`pisplit.estimators.folds.make_folds`). None: fewer than ten recordings are held
+               out in turn, more in five folds, one recording in five stretches of time; where four or more recordings
+               hold no pair, these alone. 1: held out once, the cheapest
     instruments  number of earlier samples that serve as instrumental variables: noise on the states then no longer
                pulls eigenvalues toward zero; 0 is ordinary least squares, 3 a good number where states are noisy
                (:func:`pisplit.estimators.instruments.instrumented_moments` says when it helps)
@@ -54,8 +59,10 @@ class DirectEDMDc(Estimator):
         max_radius: float | None = None,
         solver: str = "auto",
         instruments: int = 0,
+        cv_horizon: int | None = None,
+        cv_folds: int | None = None,
     ) -> None:
-        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states)
+        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states, cv_horizon, cv_folds)
         check_penalty(penalty, solver, relative)
         count(instruments, "instruments", minimum=0)
         self.theta = theta
@@ -66,6 +73,8 @@ class DirectEDMDc(Estimator):
         self.alphas = alphas
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
+        self.cv_horizon = cv_horizon
+        self.cv_folds = cv_folds
         self.max_radius = max_radius
         self.solver = solver
         self.instruments = instruments

@@ -61,8 +61,8 @@ class PIEDMDc(Estimator):
                      of states, columns or quantities, or a mask over learned columns: in these rows only (h is zero in
                      the others, which take K_f twice; paper, "Adjusting the full K_t"); {name: weight}: the same, with
                      weights on the penalty of rows where h is expected to be small
-    scale, relative, solver, alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc; ``relative`` is the unit
-                     of ``generator_alpha`` too
+    scale, relative, solver, alphas, cv_states, cv_tolerance, cv_horizon, cv_folds, max_radius   as in LinearEDMDc;
+                     ``relative`` is the unit of ``generator_alpha`` too
     generator_alpha  weight of the penalty in the regression that identifies the generator or the flow map
     options          further options of the splitting (balanced, hold: see there)
     generator_penalty  penalty of that regression: "ridge" or "lasso" (paper: a LASSO in every regression)
@@ -103,8 +103,10 @@ class PIEDMDc(Estimator):
         generator_penalty: str = "ridge",
         known_rows: Mapping[str, Mapping[str, float]] | None = None,
         past: str = "absent",
+        cv_horizon: int | None = None,
+        cv_folds: int | None = None,
     ) -> None:
-        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states)
+        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states, cv_horizon, cv_folds)
         self.theta = theta
         self.alpha = alpha
         self.penalty = penalty
@@ -117,6 +119,8 @@ class PIEDMDc(Estimator):
         self.alphas = alphas
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
+        self.cv_horizon = cv_horizon
+        self.cv_folds = cv_folds
         self.max_radius = max_radius
         self.solver = solver
         self.generator_alpha = generator_alpha

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.boundedness import Excitation
+from pisplit.estimators.folds import Fold
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import operators
 from pisplit.regression.moments import Moments
@@ -19,16 +20,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What alpha is chosen on.
+    """What alpha is chosen on, one fold of it.
 
-    episodes  that are rolled out
-    numbers   of these among the training episodes
-    moments   of the pairs that are left to learn from
-    base      the model that learns from these, but for its dynamics
+    fold     which stretches are rolled out
+    moments  of the pairs that are left to learn from
+    base     the model that learns from these, but for its dynamics
     """
 
-    episodes: Episodes
-    numbers: tuple[int, ...]
+    fold: Fold
     moments: Moments
     base: LiftedModel
 
@@ -44,7 +43,7 @@ class Problem:
     moments     of the pairs: [Theta(k) | learned columns of psi(k+1)] (M + S)
     scale       (M,) units of the columns in the regressions
     base        the model but for its dynamics: lifting, read-out, names
-    held        None where alpha is given
+    held        folds that choose alpha; empty where it is given
     excitation  what models must survive, or None
     """
 
@@ -55,19 +54,15 @@ class Problem:
     moments: Moments
     scale: Array
     base: LiftedModel
-    held: HeldOut | None
+    held: tuple[HeldOut, ...]
     excitation: Excitation | None
 
-    def model(self, k: Array) -> LiftedModel:
-        """The model with the learned rows ``k`` (S, M)."""
-        return replace(self.base, **operators(self.theta, k))
+    def model(self, k: Array, held: HeldOut | None = None) -> LiftedModel:
+        """The model with the learned rows ``k`` (S, M), of all pairs or of those that ``held`` leaves."""
+        return replace(self.base if held is None else held.base, **operators(self.theta, k))
 
-    def without_held_out(self, k: Array) -> LiftedModel:
-        """The model with the learned rows ``k`` (S, M) that has not seen the held-out episodes."""
-        return replace(self.held.base if self.held else self.base, **operators(self.theta, k))
-
-    def stays_bounded(self, k: Array, model: LiftedModel) -> bool:
-        """True if the ``model`` of the learned rows ``k`` stays bounded under the excitation, or nobody asks."""
+    def stays_bounded(self, k: Array) -> bool:
+        """True if the model of the learned rows ``k`` stays bounded under the excitation, or nobody asks."""
         if self.excitation is None:
             return True
-        return bool(np.isfinite(k).all()) and self.excitation.bounds(model)
+        return bool(np.isfinite(k).all()) and self.excitation.bounds(self.model(k))

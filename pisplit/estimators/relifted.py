@@ -17,11 +17,12 @@ from pisplit import observables as ob
 from pisplit.checks import count, non_negative
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.dictionary.dictionary import Dictionary
-from pisplit.estimators.alpha_search import hold_out, state_weights
+from pisplit.estimators.alpha_search import state_weights
 from pisplit.estimators.base import Estimator
 from pisplit.estimators.boundedness import Excitation
+from pisplit.estimators.fold_errors import FoldErrors, RolloutVerdict, constant_error, judged, reasons
+from pisplit.estimators.folds import Fold, make_folds
 from pisplit.estimators.relifted_coordinates import Coordinates, product_table
-from pisplit.evaluation.rollouts import rollout_errors
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import excited_inputs, state_range
 from pisplit.lifted.relifting import ReliftedTerm
@@ -41,16 +42,22 @@ class Structure:
     degree: int
     alpha: float
 
+    def __str__(self) -> str:
+        products = f"products of {self.leading} up to degree {self.degree}"
+        return f"{self.components} components, {products}, alpha = {self.alpha:.3g}"
+
 
 @dataclass(frozen=True)
 class StructureSearch:
     """What was tried on roll-outs of held-out recordings.
 
     tried      structures, the best first
-    errors     (G,) their median squared errors in scaled states
+    errors     (G,) their median squared errors in scaled states, geometric means over folds; infinite where a roll-out
+               diverged
     chosen     the first that stays bounded, or the first of all
     held_out   numbers of the episodes that were held out
     bounded    whether the choice stays bounded under the excitation; None if nobody asked
+    reasons    why the choice may be wrong, a line each; fit warns of them
     """
 
     tried: tuple[Structure, ...]
@@ -58,6 +65,7 @@ class StructureSearch:
     chosen: Structure
     held_out: tuple[int, ...]
     bounded: bool | None
+    reasons: tuple[str, ...]
 
     @property
     def error(self) -> float:
@@ -80,6 +88,7 @@ class ReliftedEDMDc(Estimator):
     alphas      ridges to choose from, relative to the mean diagonal of the Gram matrix, 1e-12 to 1 if not given; the
                 increment c+ - c is shrunk
     cv_states   states (output group, names or indices) whose roll-out error chooses; default all
+    cv_horizon, cv_folds  as in LinearEDMDc
     omit        quantities of states that do not shape the components, but are read from them
 
     What is chosen is the best on roll-outs of held-out training recordings, of those that stay bounded under the
@@ -98,6 +107,8 @@ class ReliftedEDMDc(Estimator):
         alphas: Sequence[float] | None = None,
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
         omit: Sequence[str] = (),
+        cv_horizon: int | None = None,
+        cv_folds: int | None = None,
     ) -> None:
         _each(components, "components", 1)
         _each(leading, "leading", 0)
@@ -107,12 +118,17 @@ class ReliftedEDMDc(Estimator):
             raise ValueError(f"alphas = {alphas!r}; expected numbers to choose from, at least one")
         for i, value in enumerate(alphas or ()):
             non_negative(value, f"alphas[{i}]")
+        for number, name in ((cv_horizon, "cv_horizon"), (cv_folds, "cv_folds")):
+            if number is not None:
+                count(number, name)
         self.components = components
         self.leading = leading
         self.degrees = degrees
         self.alphas = alphas
         self.cv_states = cv_states
         self.omit = omit
+        self.cv_horizon = cv_horizon
+        self.cv_folds = cv_folds
 
     @property
     def n_delays(self) -> int:
@@ -132,52 +148,54 @@ class ReliftedEDMDc(Estimator):
         theta = state_dictionary(d1)
         if set(self.omit) - set(theta.names.quantities):
             raise ValueError(f"omit = {list(self.omit)}; expected quantities of {sorted(set(theta.names.quantities))}")
-        training, held, numbers = hold_out(d1, all_of, 1)
-        found: list[tuple[float, Structure, LiftedModel]] = []
-        weights = state_weights(theta, all_of)
-        for structure, model in self._models(d1, training, theta, self._structures(len(training))):
-            error = rollout_errors(model, held, self.cv_states, weights).median
-            found.append((error, structure, model))
-        found.sort(key=lambda entry: entry[0])
-        if not found or not np.isfinite(found[0][0]):
+        folds = make_folds(
+            d1, all_of, 1, 1 if pairs is None else max(1, pairs.n_delays), self.cv_horizon, self.cv_folds
+        )
+        structures = self._structures(min(len(fold.training) for fold in folds))
+        found = self._judged(d1, theta, all_of, folds, structures)
+        errors = found.joint()
+        if not np.isfinite(errors).any():
             raise ValueError(
-                f"all {len(found)} structures diverge on held-out recordings; give more data or components"
+                f"all {len(structures)} structures diverge on held-out recordings; give more data or components"
             )
         survive = None
         if excitation is not None:
-            survive = Excitation.of(excitation, [all_of, held.pairs(1)], theta.names.quantities)
-        self._keep_best(d1, all_of, theta, found, numbers, survive, training is all_of)
-        return self
-
-    def _keep_best(
-        self,
-        d1: Episodes,
-        pairs: Pairs,
-        theta: Dictionary,
-        found: list[tuple[float, Structure, LiftedModel]],
-        numbers: tuple[int, ...],
-        survive: Excitation | None,
-        final: bool,
-    ) -> None:
-        """The best of ``found`` that survives, fitted to all ``pairs`` (``final``: they are all it was fitted to)."""
-        chosen: tuple[Structure, LiftedModel] | None = None
-        for error, structure, model in found:
-            if not np.isfinite(error):
-                break
-            whole = model if final else next(self._models(d1, pairs, theta, [structure]))[1]
-            if survive is None or survive.bounds(whole):
-                chosen = structure, whole
-                break
+            survive = Excitation.of(excitation, [d1.pairs(1)], theta.names.quantities)
+        order = [i for i in np.argsort(errors, kind="stable").tolist() if np.isfinite(errors[i])]
+        models = ((i, next(self._models(d1, all_of, theta, [structures[i]]))[1]) for i in order)
+        chosen = next(((i, m) for i, m in models if survive is None or survive.bounds(m)), None)
         bounded = None if survive is None else chosen is not None
         if chosen is None:
-            structure = found[0][1]
-            chosen = structure, next(self._models(d1, pairs, theta, [structure]))[1]
+            chosen = order[0], next(self._models(d1, all_of, theta, [structures[order[0]]]))[1]
             warnings.warn(
-                "no structure that was tried stays bounded under the excitation; give more data", stacklevel=3
+                "no structure that was tried stays bounded under the excitation; give more data", stacklevel=2
             )
-        errors = np.array([error for error, _, _ in found])
-        self.search_ = StructureSearch(tuple(s for _, s, _ in found), errors, chosen[0], numbers, bounded)
+        best = chosen[0]
+        allowed = np.ones(len(order), dtype=bool) if bounded is False else np.arange(len(order)) >= order.index(best)
+        permitted = np.zeros(len(structures), dtype=bool)
+        permitted[np.array(order)[allowed]] = True
+        said = reasons(found, list(map(str, structures)), best, permitted, 0.0)
+        for reason in said:
+            warnings.warn(reason, stacklevel=2)
+        numbers = tuple(sorted({i for fold in folds for i in fold.numbers}))
+        ranked = np.argsort(errors, kind="stable")
+        tried = tuple(structures[i] for i in ranked)
+        self.search_ = StructureSearch(tried, errors[ranked], structures[best], numbers, bounded, said)
         self.lifted, self.theta_, self.bounded_ = chosen[1], theta, bounded
+        return self
+
+    def _judged(
+        self, d1: Episodes, theta: Dictionary, pairs: Pairs, folds: Sequence[Fold], structures: Sequence[Structure]
+    ) -> FoldErrors:
+        """Roll-outs of all ``structures`` on all ``folds``."""
+        weights = state_weights(theta, pairs)
+        verdicts: list[list[RolloutVerdict]] = [[] for _ in structures]
+        constant = []
+        for fold in folds:
+            for row, (_, model) in zip(verdicts, self._models(d1, fold.training, theta, structures), strict=True):
+                row.append(judged(model, fold, self.cv_states, weights))
+            constant.append(constant_error(model, fold, self.cv_states, weights))
+        return FoldErrors.of(folds, verdicts, constant)
 
     def _structures(self, pairs: int) -> list[Structure]:
         """What is tried with so many ``pairs``."""

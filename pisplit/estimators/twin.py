@@ -42,7 +42,7 @@ class TwinEDMDc(Estimator):
     omit          names or quantities of columns that predict nothing (they are predicted): digits that no twin gets
                   right and no sensor reads, such as the axial strain of a backbone that hardly stretches, tell a model
                   of the twin everything
-    alphas, cv_states, cv_tolerance, max_radius   as in LinearEDMDc
+    alphas, cv_states, cv_tolerance, cv_horizon, cv_folds, max_radius   as in LinearEDMDc
 
     After ``fit`` as :class:`pisplit.estimators.base.Estimator`.
     """
@@ -60,8 +60,10 @@ class TwinEDMDc(Estimator):
         cv_states: str | Sequence[int] | Sequence[str] | None = None,
         cv_tolerance: float = 0.0,
         max_radius: float | None = None,
+        cv_horizon: int | None = None,
+        cv_folds: int | None = None,
     ) -> None:
-        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states)
+        check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states, cv_horizon, cv_folds)
         positive(twin_alpha, "twin_alpha")
         self.theta = theta
         self.alpha = alpha
@@ -71,6 +73,8 @@ class TwinEDMDc(Estimator):
         self.alphas = alphas
         self.cv_states = cv_states
         self.cv_tolerance = cv_tolerance
+        self.cv_horizon = cv_horizon
+        self.cv_folds = cv_folds
         self.max_radius = max_radius
 
     def fit(

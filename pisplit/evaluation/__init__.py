@@ -7,9 +7,11 @@ from pisplit.evaluation.comparison import Comparison, LearningCurve, compare, le
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
 from pisplit.evaluation.predicted import PredictedError, predicted_error
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
+from pisplit.evaluation.splits import EpisodeSplit
 
 __all__ = [
     "Comparison",
+    "EpisodeSplit",
     "HorizonErrors",
     "LearningCurve",
     "PredictedError",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +72,27 @@ def accumulate(blocks: Iterable[Array]) -> Moments:
     triangle = _triangle(parts())
     if triangle is None or n_samples == 0:
         raise ValueError("there are no samples to learn from; give at least one snapshot pair or phase sample")
+    return _moments(triangle, n_samples)
+
+
+@one_blas_thread()
+def joined(parts: Sequence[Moments]) -> Moments:
+    """Moments of all samples of ``parts``, at least one, of the same columns: no sample is looked at again."""
+
+    def rows(part: Moments) -> Array:
+        found = np.zeros((len(part.factor) + 1, len(part.mean) + 1), order="F")
+        found[0, 0] = np.sqrt(part.n_samples)
+        found[0, 1:] = np.sqrt(part.n_samples) * part.mean
+        found[1:, 1:] = part.factor
+        return found
+
+    triangle = _triangle(map(rows, parts))
+    assert triangle is not None
+    return _moments(triangle, sum(part.n_samples for part in parts))
+
+
+def _moments(triangle: Array, n_samples: int) -> Moments:
+    """The moments that the triangle of [1 | columns] holds."""
     bad = np.flatnonzero(~np.isfinite(triangle[:, 1:].sum(axis=0)))
     if len(bad):
         raise ValueError(f"column {bad[0] + 1} of {len(triangle) - 1} has NaN or infinite entries, or overflows")
