@@ -22,14 +22,27 @@ from pisplit.data.units import UNITS, to_si
 from pisplit.lifted.formats import _listed
 from pisplit.lifted.operators import state_range
 
-PREFIXES = {"": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
-BASES = {"m": ("m", 1.0), "s": ("s", 1.0), "N": ("N", 1.0), "Pa": ("Pa", 1.0), "rad": ("rad", 1.0)}
+PREFIXES = {"": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "h": 1e2, "k": 1e3, "M": 1e6}
+BASES = {name: (name, 1.0) for name in ("m", "s", "N", "Pa", "rad", "V", "A", "Nm", "Hz", "s^2")}
+BASES |= {"g": ("kg", 1e-3), "bar": ("Pa", 1e5)}
+POUND = 0.45359237  # kg, by the treaty of 1959; the inch is 25.4 mm
+OTHERS = {
+    "deg": ("rad", math.pi / 180.0),
+    "rev": ("rad", 2.0 * math.pi),
+    "rpm": ("rad/s", 2.0 * math.pi / 60.0),
+    "min": ("s", 60.0),
+    "hour": ("s", 60.0 * 60.0),
+    "day": ("s", 24.0 * 60.0 * 60.0),
+    "inch": ("m", 25.4e-3),
+    "ft": ("m", 12.0 * 25.4e-3),
+    "lbf": ("N", POUND * 9.80665),
+    "psi": ("Pa", POUND * 9.80665 / 25.4e-3**2),
+}
 
 
 @pytest.mark.parametrize("unit", [u for u in UNITS if u])
 def test_units_are_their_prefix_times_their_base(unit: str) -> None:
-    others = {"deg": ("rad", math.pi / 180.0), "bar": ("Pa", 1e5), "V": ("V", 1.0), "A": ("A", 1.0)}
-    known = others | BASES | {p + b: (si, f * PREFIXES[p]) for b, (si, f) in BASES.items() for p in PREFIXES}
+    known = OTHERS | BASES | {p + b: (si, f * PREFIXES[p]) for b, (si, f) in BASES.items() for p in PREFIXES}
     name, factor = to_si(unit, "x")
     assert (name, factor) == (known[unit][0], pytest.approx(known[unit][1], rel=1e-15))
     assert to_si(f"{unit}/ms", "x") == (f"{name}/s", pytest.approx(1e3 * factor, rel=1e-15))

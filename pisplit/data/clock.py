@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import real_array
+from pisplit.checks import positive, real_array
 from pisplit.data.units import to_si
 
 Array = NDArray[np.float64]
@@ -19,24 +19,27 @@ RESTART = 10.0
 EXACT = 2**53
 
 
-def seconds(t: ArrayLike, time_unit: str = "s") -> Array:
+def seconds(t: ArrayLike, time_unit: str | float | None = None) -> Array:
     """Times (N,) in seconds; those of dates count from the first of them. NaN where a time is missing.
 
     t          (N,) numbers in ``time_unit``, or dates or durations (NumPy, pandas, datetime), whose unit is their own
-    time_unit  "s", "ms", "us" or "ns"
+    time_unit  "s" (the default), "ms", "us", "ns", "min", "hour" or "day", or seconds a tick
 
     Raises ValueError for other shapes, texts and units, and for dates with a ``time_unit`` beside them.
     """
-    second, factor = to_si(time_unit, "time_unit")
-    if second != "s":
-        raise ValueError(f"time_unit = {time_unit!r}; expected a unit of time: s, ms, us or ns")
+    if isinstance(time_unit, str | None):
+        second, factor = to_si(time_unit or "s", "time_unit")
+        if second != "s":
+            raise ValueError(f"time_unit = {time_unit!r}; expected a unit of time: s, ms, us, ns, min, hour or day")
+    else:
+        factor = positive(time_unit, "time_unit", "s")
     array = np.asarray(t) if not isinstance(t, np.ma.MaskedArray) else t
     if array.ndim != 1:
         raise ValueError(f"t has shape {array.shape}; expected (N,)")
     if array.dtype.kind == "O" and any(isinstance(v, datetime | timedelta) for v in array):
         array = _instants(array)
     if array.dtype.kind in "mM":
-        if time_unit != "s":
+        if time_unit not in (None, "s"):
             raise ValueError(f"t holds dates or durations, whose unit is known; leave time_unit = {time_unit!r} out")
         return _elapsed(array)
     if array.dtype.kind in "iu" and len(array) and max(int(array.max()), -int(array.min())) > EXACT:
@@ -45,6 +48,24 @@ def seconds(t: ArrayLike, time_unit: str = "s") -> Array:
     if np.isinf(times).any():
         raise ValueError(f"t has {int(np.isinf(times).sum())} infinite entries; missing times are NaN")
     return times
+
+
+def counted(episode: ArrayLike | None, x: ArrayLike, dt: float | None) -> Array:
+    """Times (N,) [s] of samples ``x`` (N, ...) that are ``dt`` [s] apart, from 0 on in every run of ``episode`` (N,).
+
+    Raises ValueError where ``dt`` is None.
+    """
+    if dt is None:
+        raise ValueError("no column of times and no dt; name the times, or give dt=, the seconds between samples")
+    size = len(np.asarray(x))
+    if episode is None:
+        return np.arange(size, dtype=np.float64) * positive(dt, "dt", "s")
+    seen: dict[str, int] = {}
+    found = np.empty(size, dtype=np.float64)
+    for i, label in enumerate(_labels(episode, size)):
+        found[i] = seen.get(label, 0)
+        seen[label] = seen.get(label, 0) + 1
+    return found * positive(dt, "dt", "s")
 
 
 def runs(episode: ArrayLike | None, times: Array) -> dict[str, Index]:

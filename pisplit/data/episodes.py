@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_array, positive
-from pisplit.data import episode_files, matlab, recordings, tables
+from pisplit.data import episode_files, matlab, recordings, sums, tables
 from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
 from pisplit.data.columns import column_order, default_names, labels, regrouped, table_columns, unit_factors
 from pisplit.data.episode_checks import checked_arrays, extra_arrays, output_groups
@@ -56,7 +56,8 @@ class Episodes:
     provenance     JSON-able facts: seed, scene, version
     input_units    (m,) units of the inputs, texts
 
-    ``len``, iteration and indices (an integer, a slice, a list or array of integers, a boolean mask) go by episodes.
+    ``len``, iteration and indices (an integer, a slice, a list or array of integers, a boolean mask) go by episodes;
+    ``d1 + d2`` and ``sum([d1, d2, d3])`` are recordings joined.
     Raises ValueError for empty lists, episodes of one row, shapes that do not fit and entries that are not finite.
     """
 
@@ -129,6 +130,16 @@ class Episodes:
         if index.dtype.kind == "b" and len(index) != len(self):
             raise ValueError(f"a mask of {len(index)} booleans for {len(self)} episodes; give one an episode")
         return self.subset(np.flatnonzero(index) if index.dtype.kind == "b" else index.tolist())
+
+    def __add__(self, other: Episodes) -> Episodes:
+        """These recordings and then those of ``other``, whose columns are brought to the order and units of these.
+
+        Raises ValueError, in one line, for other columns, units or steps. ``sum(list)`` joins many.
+        """
+        return Episodes(**sums.joined(self, other)) if isinstance(other, Episodes) else NotImplemented
+
+    def __radd__(self, other: Any) -> Episodes:
+        return self if isinstance(other, int) and other == 0 else NotImplemented  # sum() starts at 0
 
     def subset(self, indices: Sequence[int] | Index) -> Episodes:
         """The episodes at ``indices`` (integers, negative ones from the end), in that order.
@@ -311,8 +322,8 @@ class Episodes:
         return cls(xs, us, dt, **{**named, **options})
 
     @classmethod
-    def from_arrays(cls, t: ArrayLike, x: ArrayLike, u: ArrayLike, **options: Any) -> Episodes:
-        """Episodes from a recording: times t (N,), states x (N, n), inputs u (N, m), resampled and split at gaps.
+    def from_arrays(cls, t: ArrayLike | None, x: ArrayLike, u: ArrayLike, **options: Any) -> Episodes:
+        """Episodes from a recording: times t (N,), states x (N, n), inputs u (N, m), resampled and split.
 
         ``options`` and errors as in :func:`pisplit.data.recordings.from_arrays`.
         """
@@ -321,13 +332,15 @@ class Episodes:
     @classmethod
     def from_csv(
         cls,
-        path: str | os.PathLike[str],
-        time: str,
+        path: tables.Paths,
+        time: str | Sequence[str] | None,
         states: str | Sequence[str],
         inputs: str | Sequence[str],
         **options: Any,
     ) -> Episodes:
-        """Episodes from the table ``path`` with a header: names of its columns of ``time``, ``states`` and ``inputs``.
+        """Episodes from text tables: names of their columns of ``time``, ``states`` and ``inputs``.
+
+        path  a file, a pattern such as "run*.csv", or a list of these
 
         ``options`` and errors as in :func:`pisplit.data.tables.from_csv`.
         """

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pisplit.checks import real_array
-from pisplit.data.tables import from_columns
+from pisplit.data.joining import Table, from_columns
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def from_mat(
     source = Path(path)
     groups = [[names] if isinstance(names, str) else list(names) for names in (states, inputs)]
     content = _loaded(source, [time, *groups[0], *groups[1], *([] if episode is None else [episode])])
-    columns: dict[str, ArrayLike] = {time: np.ravel(content[time])}
+    columns: dict[str, Array] = {}
     size = np.size(content[time])
     labelled: list[list[str]] = []
     for group in groups:
@@ -53,9 +53,12 @@ def from_mat(
             columns |= dict(zip(names, value.T, strict=True))
             found += names
         labelled.append(found)
+    if not labelled[0]:
+        raise ValueError("states names no variables; give at least one")
     if episode is not None:
         options["episode"] = np.ravel(content[episode])
-    return from_columns(columns, source.name, time, labelled[0], labelled[1], options)
+    found_table = Table(source.name, columns, {}, np.ravel(content[time]), None, None)
+    return from_columns([found_table], labelled[0], labelled[1], options)
 
 
 def _loaded(source: Path, wanted: Sequence[str]) -> Mapping[str, Any]:

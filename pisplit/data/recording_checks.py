@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.checks import finite_number
-from pisplit.data.resampling import BRIDGED, Signal
+from pisplit.data.resampling import BRIDGED, Signal, longest_gap
 from pisplit.data.warning import warn
 
 Array = NDArray[np.float64]
 
 #: A share of samples that is lost to no episode is said above this.
 LOST = 0.05
+#: So many cuts into pieces of so few samples are said.
+MANY, BRIEF = 10, 60
 
 
 def check_read(runs: Sequence[tuple[list[Signal], list[Signal]]], names: Sequence[Sequence[str]]) -> None:
@@ -74,6 +76,34 @@ def say_what_is_lost(
     reasons.append("the rest is shorter than dt between gaps longer than max_gap" if not reasons else "")
     why = "; ".join(reason for reason in reasons if reason)
     warn(f"{100 * lost / len(times):.0f} % of the samples ({lost} of {len(times)}) are in no episode: {why}")
+
+
+def say_how_it_is_cut(
+    grids: Sequence[Array], runs: Sequence[Sequence[Signal]], names: Sequence[str], step: float, max_gap: float | None
+) -> None:
+    """Say where gaps cut a recording into very many pieces, and which ``max_gap`` would not.
+
+    grids          times [s] of the pieces
+    runs           signals of the states of every run
+    names          (n,) of the states
+    step, max_gap  step of the episodes and longest gap that is bridged [s]; None: 3 usual spacings
+    """
+    usual = float(np.median([len(grid) for grid in grids])) if grids else 0.0
+    if len(grids) - len(runs) < MANY or usual > BRIEF:
+        return
+    cuts: dict[str, list[float]] = {}
+    for run in runs:
+        for signal in run:
+            steps = np.diff(signal.times)
+            gap = longest_gap(signal, step, max_gap)
+            cuts.setdefault(names[int(signal.columns[0])], []).extend(steps[steps > gap].tolist())
+    name = max(cuts, key=lambda key: len(cuts[key]))
+    longer = np.array(cuts[name])
+    most = float(np.quantile(longer, 0.9)) if len(longer) else step
+    warn(
+        f"gaps cut the recording into {len(grids)} pieces of about {usual:.0f} samples: {name} is missing "
+        f"{len(longer)} times; max_gap={1.01 * most:.2g} bridges 9 of 10 of them by interpolation"
+    )
 
 
 def say_what_is_held(times: Array, inputs: Array, names: Sequence[str], step: float, gap: float | None) -> None:

@@ -23,12 +23,14 @@ INTERPOLATIONS = ("linear", "cubic")
 FIELDS = ("state_names", "input_names", "quantities", "units", "outputs", "provenance")
 #: dt and sample spacing may differ by so much before it is said, and before it is refused (a unit is a thousand).
 SPARSE, DENSE, ABSURD = 5.0, 100.0, 100.0
+#: Spacing of samples [s] from which a clock without a unit is doubted.
+SLOW = 2.0
 #: Spacings that differ so much (90th and 10th percentile) are of samples of several clocks.
 MIXED = 20.0
 
 
 def from_arrays(
-    t: ArrayLike,
+    t: ArrayLike | None,
     x: ArrayLike,
     u: ArrayLike,
     dt: float | None = None,
@@ -36,7 +38,7 @@ def from_arrays(
     max_gap: float | None = None,
     state_units: str | Sequence[str] | None = None,
     input_units: str | Sequence[str] | None = None,
-    time_unit: str = "s",
+    time_unit: str | float | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     episode: ArrayLike | None = None,
     screen: Sequence[str] = screening.KINDS,
@@ -44,7 +46,7 @@ def from_arrays(
 ) -> dict[str, Any]:
     """Fields of :class:`pisplit.Episodes`, by name, of a recording: its samples, brought to steps of one length.
 
-    t              (N,) times: numbers in ``time_unit``, dates or durations
+    t              (N,) times: numbers in ``time_unit``, dates or durations; None: samples of a run are ``dt`` apart
     x, u           (N, n) states and (N, m) inputs at these times, or tables with named columns. NaN, masked and absent
                    entries are missing: every state is interpolated between its own readings, every command holds until
                    the next one that is known, so that commands need only be there where they change
@@ -53,7 +55,8 @@ def from_arrays(
                    over the step
     max_gap        longest time between readings of a state that is bridged [s], default 3 times its median spacing, or
                    3 dt; at longer ones the recording is split into episodes
-    state_units, input_units, time_unit   units of the data (one for all, or one a column); converted to SI
+    state_units, input_units  units of the data (one for all, or one a column); converted to SI
+    time_unit      unit of the times, s if not given; a number is seconds a tick, such as 0.01 for a counter of frames
     ranges         {column name: (low, high)} in SI units that readings must lie in
     episode        (N,) number or name of the run of every sample, for clocks that restart; default: one run
     screen         which readings are none, are taken for missing and warned of: "zeros" of lost tracking, in several
@@ -71,7 +74,7 @@ def from_arrays(
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
         raise ValueError(f"unknown argument {unknown[0]!r}; a recording may name {', '.join(FIELDS)}")
-    times = clock.seconds(t, time_unit)
+    times = clock.seconds(t, time_unit) if t is not None else clock.counted(episode, x, dt)
     fields["state_names"] = table_columns([x], fields.get("state_names"), "state_names")
     fields["input_names"] = table_columns([u], fields.get("input_names"), "input_names")
     states, state_si = _in_si(_rows(x, "x", len(times)), state_units, "state_units")
@@ -89,9 +92,9 @@ def from_arrays(
         recording_checks.check_ranges(ranges, [*names[0], *names[1]], np.hstack([states, inputs]), times)
     signals = [_signals(times[rows], states[rows], inputs[rows]) for rows in members.values()]
     recording_checks.check_read(signals, names)
-    step = _step(dt, [run for run, _ in signals], names[0])
+    step = _step(dt, [run for run, _ in signals], names[0], told=t is None or time_unit is not None)
     gap = None if max_gap is None else positive(max_gap, "max_gap", "s")
-    xs, us, labels_of, short, kept = [], [], [], 0, 0
+    xs, us, labels_of, cut, short, kept = [], [], [], [], 0, 0
     for (label, rows), (run, commands) in zip(members.items(), signals, strict=True):
         awake = rows[np.isfinite(states[rows]).any(axis=1)]
         recording_checks.say_what_is_held(times[awake], inputs[awake], names[1], step, gap)
@@ -103,8 +106,10 @@ def from_arrays(
             xs.append(resampling.columns_at(run, parts, len(grid)))
             us.append(resampling.columns_at(commands, [s.held(grid) for s in commands], len(grid) - 1))
             labels_of.append(label)
+            cut.append(grid)
             kept += int(((times[rows] >= grid[0]) & (times[rows] < grid[-1] + step)).sum())
     recording_checks.say_what_is_lost(len(xs), short, kept, states, inputs, times, names, step)
+    recording_checks.say_how_it_is_cut(cut, [run for run, _ in signals], names[0], step, gap)
     missing = ~(np.isfinite(states).all(axis=1) & np.isfinite(inputs).all(axis=1) & np.isfinite(times))
     origin = {
         "samples": len(times),
@@ -137,8 +142,8 @@ def _signals(times: Array, states: Array, inputs: Array) -> tuple[list[Signal], 
     return resampling.signals(times, states), resampling.signals(times, inputs)
 
 
-def _step(dt: float | None, runs: Sequence[Sequence[Signal]], names: Sequence[str]) -> float:
-    """The step [s]; says where it does not look like that of the readings."""
+def _step(dt: float | None, runs: Sequence[Sequence[Signal]], names: Sequence[str], told: bool = True) -> float:
+    """The step [s]; says where it does not look like that of the readings, or as if a unit had not been ``told``."""
     finest = min((signal for run in runs for signal in run), key=lambda signal: signal.spacing)
     step = finest.spacing if dt is None else positive(dt, "dt", "s")
     if finest.spacing > ABSURD * step:
@@ -150,6 +155,8 @@ def _step(dt: float | None, runs: Sequence[Sequence[Signal]], names: Sequence[st
         warn(f"samples are between {low:g} s and {high:g} s apart: several runs sorted into one? give episode=")
     elif finest.spacing * DENSE < step:
         warn(f"dt = {step:g} s, but samples are {finest.spacing:g} s apart: of {step / finest.spacing:.0f} one is used")
+    if finest.spacing > SLOW and not told:
+        warn(f"samples are {finest.spacing:g} s apart: is the clock in another unit? give time_unit, 's' if it is not")
     slowest = max((signal for run in runs for signal in run), key=lambda s: s.spacing if len(s.times) > 1 else 0.0)
     if slowest.spacing > SPARSE * step:
         name = names[int(slowest.columns[0])]

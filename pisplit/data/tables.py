@@ -1,129 +1,230 @@
-"""Recordings in text tables: one header line, one line a sample."""
+"""Recordings in text tables, one line a sample: of one file or of several, with commands beside or apart."""
 
 from __future__ import annotations
 
-import csv
+import glob
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pisplit.data import recordings
+from pisplit.data import cells, headers
+from pisplit.data.joining import Table, from_columns
+from pisplit.data.text import DELIMITERS, rows_of, text_of
 
-Array = NDArray[np.float64]
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
-#: What a cell may hold; float() alone would read 1_00.5 as 100.5.
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE)
+#: Lines that tell the delimiter.
+TOP = 200
 
 
 def from_csv(
-    path: str | os.PathLike[str],
-    time: str,
+    path: Paths,
+    time: str | Sequence[str] | None,
     states: str | Sequence[str],
     inputs: str | Sequence[str],
-    delimiter: str = ",",
+    delimiter: str | None = None,
     episode: str | None = None,
+    names: Sequence[str] | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
     **options: Any,
 ) -> dict[str, Any]:
-    """Fields of :class:`pisplit.Episodes`, by name, of a table with one header line.
+    """Fields of :class:`pisplit.Episodes`, by name, of text tables.
 
-    path            file, UTF-8
-    time            name of the column of times: numbers, or dates as in ISO 8601
-    states, inputs  names of columns; no inputs: []
-    delimiter       one character
+    path            a file, a pattern such as "run*.csv", or a list of these; each file is at least one episode
+    time            name of the column of times: numbers, durations such as "0.01 sec", or dates as in ISO 8601; two
+                    names, of seconds and of nanoseconds beyond; None: samples are ``dt`` apart
+    states, inputs  names of columns; no inputs: []. Where the header has several rows, as many words of a column, from
+                    top to bottom, as tell it from others: "tip X"; units in brackets behind a name may be left out
+    delimiter       one character; default: that of comma, semicolon, tab, | and blanks which makes the columns
     episode         name of a column that names the run of every sample, for clocks that restart
-    options         as in :func:`pisplit.data.recordings.from_arrays`
+    names           names of all columns, for files without a header; lines before the first sample are passed over
+    decimal         "." or ","; default: what the numbers have
+    encoding        default: UTF-8, what the first bytes say, or Latin-1
+    options         as in :func:`pisplit.data.recordings.from_arrays`. Units that the file names, in brackets behind a
+                    name or in a row below, count where ``state_units``, ``input_units``, ``time_unit`` are not given;
+                    "" takes numbers as they are
 
-    Empty cells and "nan" are missing. Raises FileNotFoundError, and ValueError for missing or repeated columns, lines
-    with too many cells, and cells that are no numbers.
+    Empty cells, "nan", "NA", "null" and dashes are missing. Raises FileNotFoundError, and ValueError for missing or
+    repeated columns, units that are not those which the file names, lines with too many cells, and cells that are no
+    numbers.
     """
-    groups = [[names] if isinstance(names, str) else list(names) for names in (states, inputs)]
-    names = [*groups[0], *groups[1]]
+    groups = [[given] if isinstance(given, str) else list(given) for given in (states, inputs)]
+    if not groups[0]:
+        raise ValueError("states names no columns; give at least one")
     if episode is not None and not isinstance(episode, str):
         raise ValueError(f"episode is a {type(episode).__name__}; expected the name of a column")
-    runs = [] if episode is None else [episode]
-    table = _read(Path(path), [time, *names, *runs], delimiter)
-    columns: dict[str, ArrayLike] = {name: _numbers(path, table, name) for name in names}
-    columns[time] = _times(path, table, time)
-    if episode is not None:
-        options["episode"] = [cell for _, cell in table[episode]]
-    return from_columns(columns, Path(path).name, time, groups[0], groups[1], options)
+    if decimal is not None and decimal not in (".", ","):
+        raise ValueError(f"decimal = {decimal!r}; expected '.' or ','")
+    clock = [] if time is None else [time] if isinstance(time, str) else list(time)
+    files = files_of(path)
+    read = [
+        table(file, clock, [*groups[0], *groups[1]], episode, delimiter, names, decimal, encoding) for file in files
+    ]
+    return from_columns(read, groups[0], groups[1], options)
 
 
-def from_columns(
-    columns: Mapping[str, ArrayLike], source: str, time: str, states: Sequence[str], inputs: Sequence[str], options: Any
-) -> dict[str, Any]:
-    """Fields of Episodes of named ``columns`` (N,) of the file ``source``: those of ``time``, ``states``, ``inputs``.
+def files_of(path: Paths) -> list[Path]:
+    """The files of a ``path``: itself, those of a pattern in order of their names, or those of a list of these.
 
-    ``options`` as in :func:`pisplit.data.recordings.from_arrays`. Raises ValueError if no state is named.
+    Raises FileNotFoundError where a pattern fits no file, and ValueError for an empty list and files named twice.
     """
-    if not states:
-        raise ValueError("states names no columns; give at least one")
-    given = {"state_names": tuple(states), "input_names": tuple(inputs), **options}
-    given["provenance"] = {"file": source, **(options.get("provenance") or {})}
-    size = len(np.asarray(columns[time]))
-    x, u = (
-        np.column_stack([np.asarray(columns[name]) for name in group]) if group else np.zeros((size, 0))
-        for group in (states, inputs)
+    if not isinstance(path, str | os.PathLike):
+        found = [file for part in path for file in files_of(part)]
+        if not found:
+            raise ValueError("path is an empty list; give files or patterns")
+        twice = sorted({str(file) for file in found if found.count(file) > 1})
+        if twice:
+            raise ValueError(f"{twice[0]} is named twice; its samples would count twice")
+        return found
+    text = os.fspath(path)
+    if Path(text).exists() or not glob.has_magic(text):
+        return [Path(text)]
+    found = [Path(file) for file in sorted(glob.glob(text), key=_natural)]
+    if not found:
+        raise FileNotFoundError(f"{text} fits no file; expected a pattern such as 'run*.csv'")
+    return found
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Order of names by which run2 comes before run10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in headers.DIGITS.split(name)]
+
+
+def table(
+    path: Path,
+    clock: Sequence[str],
+    columns: Sequence[str],
+    episode: str | None = None,
+    delimiter: str | None = None,
+    names: Sequence[str] | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+) -> Table:
+    """The ``columns``, times and runs of the text table ``path``.
+
+    ``clock``: names of the columns of times, none, one or two; ``episode``, ``delimiter``, ``names``, ``decimal``,
+    ``encoding`` and what it raises as in :func:`from_csv`.
+    """
+    text = text_of(path, encoding)
+    wanted = [*clock, *columns, *([] if episode is None else [episode])]
+    header, mark = _header(path, text, wanted, delimiter, names)
+    where = [header.find(name)[0] for name in wanted]
+    rows = _samples(path, text, mark, header, where)
+    found = {name: [(line, row[i]) for line, row in rows] for i, name in enumerate(wanted)}
+    numeric = [found[name] for name in columns]
+    times = [found[name] for name in clock]
+    decimal = decimal or cells.decimal_mark([*numeric, *times], path)
+    units = {name: header.unit(i) for name, i in zip(columns, where[len(clock) :], strict=False)}
+    t, unit = _read_times(path, times, decimal, header, where)
+    return Table(
+        path.name,
+        {name: cells.numbers(path, found[name], decimal) for name in columns},
+        {name: unit for name, unit in units.items() if unit is not None},
+        t,
+        unit,
+        None if episode is None else [cell for _, cell in found[episode]],
     )
-    return recordings.from_arrays(columns[time], x, u, **given)
 
 
-def _read(path: Path, wanted: Sequence[str], delimiter: str) -> dict[str, list[tuple[int, str]]]:
-    """Line and text of the cells of the wanted columns."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; expected a table with a header line")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.reader(file, delimiter=delimiter)
-            header = [name.strip() for name in next(rows, [])]
-            for name in wanted:
-                if header.count(name) != 1:
-                    what = "no column" if name not in header else "several columns"
-                    raise ValueError(f"{path} has {what} {name!r}; it has {', '.join(header[:8]) or 'none'}")
-            where = [header.index(name) for name in wanted]
-            cells = [(line, [row[i].strip() for i in where]) for line, row in _lines(path, rows, len(header))]
-    except UnicodeDecodeError:
-        raise ValueError(f"{path} is no UTF-8 text; save it as UTF-8") from None
-    except csv.Error as error:
-        raise ValueError(f"{path} is no table: {error}") from None
-    if not cells:
-        raise ValueError(f"{path} has a header and no rows; expected samples")
-    return {name: [(line, row[i]) for line, row in cells] for i, name in enumerate(wanted)}
+def _read_times(
+    path: Path, times: Sequence[cells.Cells], decimal: str, header: headers.Header, where: Sequence[int]
+) -> tuple[ArrayLike | None, str | None]:
+    if not times:
+        return None, None
+    if len(times) == 1:
+        values, plain = cells.times(path, times[0], decimal)
+        return values, header.unit(where[0], clock=True) if plain else "s"
+    parts = [np.asarray(cells.times(path, part, decimal)[0]) for part in times]
+    if len(parts) != 2 or any(part.dtype.kind != "i" for part in parts):
+        raise ValueError(f"{path}: two columns of times are whole seconds and nanoseconds; got others")
+    return parts[0] * 1_000_000_000 + parts[1], "ns"
 
 
-def _lines(path: Path, rows: Any, size: int) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of every line that holds something; a line that was cut off has empty cells."""
-    for row in rows:
-        if any(cell.strip() for cell in row):
-            if any(cell.strip() for cell in row[size:]):
-                raise ValueError(f"{path}, line {rows.line_num} has {len(row)} cells; the header has {size}")
-            yield rows.line_num, row + [""] * (size - len(row))
-
-
-def _numbers(path: str | os.PathLike[str], table: Mapping[str, list[tuple[int, str]]], name: str) -> Array:
-    values = np.empty(len(table[name]))
-    for i, (line, cell) in enumerate(table[name]):
-        if cell and not NUMBER.fullmatch(cell):
-            raise ValueError(f"{path}, line {line}: {cell!r} is not a number")
-        values[i] = float(cell) if cell else np.nan
-    return values
-
-
-def _times(path: str | os.PathLike[str], table: Mapping[str, list[tuple[int, str]]], name: str) -> ArrayLike:
-    """Times as numbers, or as dates where the first one is a date."""
-    first = next((cell for _, cell in table[name] if cell), "")
-    if not first or NUMBER.fullmatch(first):
-        return _numbers(path, table, name)
-    found = []
-    for line, cell in table[name]:
+def _header(
+    path: Path, text: str, wanted: Sequence[str], delimiter: str | None, names: Sequence[str] | None
+) -> tuple[headers.Header, str]:
+    """The header and the delimiter, by which every wanted column is found once."""
+    tried = []
+    for mark in [delimiter] if delimiter is not None else DELIMITERS:
         try:
-            found.append(datetime.fromisoformat(cell.replace("Z", "+00:00")) if cell else None)
-        except ValueError:
-            raise ValueError(f"{path}, line {line}: {cell!r} is not a number, and no date as in ISO 8601") from None
-    return np.array(found, dtype=object)
+            rows = list(rows_of(text, mark, TOP))
+        except (ValueError, TypeError) as error:
+            if delimiter is not None:
+                raise ValueError(f"{path} is no table: {error}") from None
+            continue
+        if names is not None:
+            line = headers.start_of(rows, len(names))
+            header = headers.Header(tuple((name,) for name in names), line)
+            complete = line >= 0 and all(len(header.find(name)) == 1 for name in wanted)
+        else:
+            header, complete = headers.header_of(rows, wanted)
+        if complete:
+            return header, mark
+        width = max((len(row) for _, row in rows[:20]), default=0)
+        tried.append((sum(bool(header.find(name)) for name in wanted), width, header, rows))
+    if not tried:
+        raise ValueError(f"{path} is no table of text; save it as CSV")
+    _, _, header, rows = max(tried, key=lambda each: each[:2])
+    raise ValueError(_fault(path, header, rows, wanted, names))
+
+
+def _fault(
+    path: Path,
+    header: headers.Header,
+    rows: Sequence[headers.Row],
+    wanted: Sequence[str],
+    names: Sequence[str] | None,
+) -> str:
+    """Why not every wanted column is found once."""
+    if names is not None and header.line < 0:
+        widths = {len(row) for _, row in rows if row}
+        return (
+            f"{path} has no line of {len(names)} numbers, as many as names; its lines have {sorted(widths)[:6]} cells"
+        )
+    if not header.columns and any(row for _, row in rows):
+        return f"{path} has no header line; give names=, the names of all its columns, or names in its first line"
+    for name in wanted:
+        found = header.find(name)
+        if len(found) > 1:
+            longer = [header.names[i] for i in found]
+            hint = f"; name one: {', '.join(map(repr, longer[:4]))}" if len(set(longer)) == len(longer) else ""
+            hint = hint or "; rename them, or give names= for all columns"
+            return f"{path} has several columns {name!r}; it has {', '.join(header.names[:8])}{hint}"
+        if not found:
+            return f"{path} has no column {name!r}; it has {', '.join(filter(None, header.names[:12])) or 'none'}"
+    return f"{path} is no table"
+
+
+def _samples(
+    path: Path, text: str, mark: str, header: headers.Header, where: Sequence[int]
+) -> list[tuple[int, list[str]]]:
+    """Line and wanted cells of every line below the header that holds something; what a line lacks is empty."""
+    size = len(header.columns)
+    found: list[tuple[int, list[str]]] = []
+    names = [header.columns[i][-1] for i in where]
+    last = -1 if text.endswith(("\n", "\r")) else len(text.splitlines())
+    try:
+        for line, row in rows_of(text, mark):
+            if line <= header.line or not row or row[0].startswith("#"):
+                continue
+            if any(row[size:]):
+                raise ValueError(f"{path}, line {line} has {len(row)} cells; the header has {size}")
+            if line == last and len(row) < size:
+                row = row[:-1]  # a logger that was killed left part of a number
+            chosen = [row[i] if i < len(row) else "" for i in where]
+            if not found and header.units and not any(cells.is_cell(cell) for cell in chosen if cell):
+                continue  # the row of units
+            if chosen == names and len(set(names)) == len(names):
+                raise ValueError(f"{path}, line {line} repeats the header: several files in one; cut it there")
+            found.append((line, chosen))
+    except ValueError as error:
+        text = str(error)
+        raise ValueError(text if text.startswith(str(path)) else f"{path} is no table: {text}") from None
+    if not found:
+        raise ValueError(f"{path} has a header and no rows; expected samples")
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,20 +14,64 @@ UNITS = {
     "cm": ("m", 1e-2),
     "mm": ("m", 1e-3),
     "um": ("m", 1e-6),
+    "inch": ("m", 0.0254),
+    "ft": ("m", 0.3048),
     "rad": ("rad", 1.0),
     "deg": ("rad", float(np.pi / 180.0)),
+    "rev": ("rad", float(2.0 * np.pi)),
+    "rpm": ("rad/s", float(np.pi / 30.0)),
     "s": ("s", 1.0),
     "ms": ("s", 1e-3),
     "us": ("s", 1e-6),
     "ns": ("s", 1e-9),
+    "min": ("s", 60.0),
+    "hour": ("s", 3600.0),
+    "day": ("s", 86400.0),
+    "s^2": ("s^2", 1.0),
+    "Hz": ("Hz", 1.0),
+    "kg": ("kg", 1.0),
+    "g": ("kg", 1e-3),
     "N": ("N", 1.0),
     "mN": ("N", 1e-3),
+    "kN": ("N", 1e3),
+    "lbf": ("N", 4.4482216152605),
+    "Nm": ("Nm", 1.0),
+    "mNm": ("Nm", 1e-3),
     "Pa": ("Pa", 1.0),
+    "hPa": ("Pa", 1e2),
     "kPa": ("Pa", 1e3),
+    "MPa": ("Pa", 1e6),
     "bar": ("Pa", 1e5),
+    "mbar": ("Pa", 1e2),
+    "psi": ("Pa", 6894.757293168361),
     "V": ("V", 1.0),
+    "mV": ("V", 1e-3),
     "A": ("A", 1.0),
+    "mA": ("A", 1e-3),
     "": ("", 1.0),
+}
+#: Other words for them.
+WORDS = {
+    **dict.fromkeys(("in", "inches"), "inch"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
+    **dict.fromkeys(("feet", "foot"), "ft"),
+    **dict.fromkeys(("degree", "degrees", "°"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("usec", "microsecond", "microseconds", "µs", "μs"), "us"),
+    **dict.fromkeys(("nsec", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hours"), "hour"),
+    **dict.fromkeys(("d", "days"), "day"),
+    **dict.fromkeys(("s2", "s²"), "s^2"),
+    **dict.fromkeys(("N m", "N*m", "N·m"), "Nm"),
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("pascal", "pascals"), "Pa"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("µm", "μm", "micron", "microns"), "um"),
 }
 
 
@@ -35,12 +80,24 @@ def to_si(unit: str, what: str) -> tuple[str, float]:
 
     Raises ValueError for unknown ones; ``what`` is what the message calls the column.
     """
-    parts = unit.split("/")
+    parts = [WORDS.get(part.strip(), part.strip()) for part in unit.split("/")]
     if len(parts) > 2 or any(part not in UNITS for part in parts):
         known = ", ".join(name for name in UNITS if name)
         raise ValueError(f"{what}: {unit!r} is no known unit; expected one of {known}, or a quotient of two")
     factor = UNITS[parts[0]][1] / (UNITS[parts[1]][1] if len(parts) == 2 else 1.0)
     return "/".join(UNITS[part][0] for part in parts), factor
+
+
+def written(text: str) -> str | None:
+    """The unit that a ``text`` of a file names, with or without brackets: "[mm]", "Seconds", "m/s"; None for others."""
+    plain = re.sub(r"^[\[(<]\s*|\s*[\])>]$", "", text.strip())
+    for candidate in (plain, plain.lower()):
+        try:
+            to_si(candidate, "")
+        except ValueError:
+            continue
+        return candidate or None
+    return None
 
 
 def conversion(given: str, wanted: str) -> float | None:

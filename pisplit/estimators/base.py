@@ -14,6 +14,7 @@ from pisplit.checks import count, finite_array, non_negative, one_of, positive
 from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
+from pisplit.data.sums import not_episodes
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
@@ -109,7 +110,7 @@ class Estimator(Parameters):
     ) -> Problem:
         """The data of a fit, checked; ``more`` are phase samples or pairs of a twin that a read-out may learn from."""
         if not isinstance(d1, Episodes):
-            raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
+            raise ValueError(not_episodes(d1, "d1"))
         if pairs is None:
             d1 = d1.arranged(*self.theta.wanted_names, owner="the dictionary")
         theta = self._dictionary(d1)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit import observables as ob
 from pisplit.checks import count, non_negative
 from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.sums import not_episodes
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import state_weights
 from pisplit.estimators.base import Estimator
@@ -143,7 +144,7 @@ class ReliftedEDMDc(Estimator):
         Raises ValueError for data of which no recording can be held out, and if every structure diverges on those.
         """
         if not isinstance(d1, Episodes):
-            raise ValueError(f"d1 is a {type(d1).__name__}; expected Episodes")
+            raise ValueError(not_episodes(d1, "d1"))
         all_of = d1.pairs(1) if pairs is None else d1.checked_pairs(pairs, 1)
         theta = state_dictionary(d1)
         if set(self.omit) - set(theta.names.quantities):

@@ -7,6 +7,7 @@ import numpy as np
 from pisplit.checks import check_same_step, non_negative
 from pisplit.data.episodes import Episodes
 from pisplit.data.pairs import Pairs
+from pisplit.data.sums import not_episodes
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Estimator
 from pisplit.lifted.model import LiftedModel
@@ -46,7 +47,7 @@ class StreamingEDMDc(Estimator):
         have another unit or time step.
         """
         if not isinstance(episodes, Episodes):
-            raise ValueError(f"episodes is a {type(episodes).__name__}; expected Episodes")
+            raise ValueError(not_episodes(episodes, "episodes"))
         if self._latest is None:
             names = self.theta.wanted_names
             arranged = episodes.arranged(*names, owner="the dictionary")

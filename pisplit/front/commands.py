@@ -106,17 +106,7 @@ def _recordings(given: argparse.Namespace) -> Episodes:
     if not given.states or not given.inputs:
         raise ValueError("CSV files need --states and --inputs: names of their columns")
     more = {} if given.dt is None else {"dt": given.dt}
-    parts = [Episodes.from_csv(f, given.time, given.states, given.inputs, **more) for f in given.files]
-    for path, part in zip(given.files, parts, strict=True):
-        if abs(part.dt - parts[0].dt) > 1e-9 * parts[0].dt:
-            raise ValueError(f"{path} has steps of {part.dt:g} s, {given.files[0]} of {parts[0].dt:g} s; give --dt")
-    return Episodes(
-        [x for p in parts for x in p.xs],
-        [u for p in parts for u in p.us],
-        parts[0].dt,
-        state_names=parts[0].state_names,
-        input_names=parts[0].input_names,
-    )
+    return Episodes.from_csv(given.files, given.time, given.states, given.inputs, **more)
 
 
 def _report(given: argparse.Namespace) -> tuple[dict[str, Any], int]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from pisplit import Episodes, HorizonErrors, LiftedModel, horizon_errors, predicted_error, rollout_errors
+from pisplit.data.sums import not_episodes
 from pisplit.front.candidates import CANDIDATES, Candidate, by_hand, fitted
 from pisplit.front.case import GROUPS, Case
 from pisplit.front.judgement import helps, unfit
@@ -162,9 +163,7 @@ def identify(
 
 def _check(d1: Any, arm: Any, shapes: Any) -> None:
     if not isinstance(d1, Episodes):
-        raise ValueError(
-            f"d1 is a {type(d1).__name__}; expected Episodes, such as Episodes.from_csv or arm.record give"
-        )
+        raise ValueError(not_episodes(d1, "d1", "Episodes, such as Episodes.from_csv or arm.record give"))
     for value, kind, name in ((arm, Arm, "arm"), (shapes, RestShapes, "shapes")):
         if value is not None and not isinstance(value, kind):
             raise ValueError(f"{name} is a {type(value).__name__}; expected {kind.__name__}")

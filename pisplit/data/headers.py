@@ -1,0 +1,166 @@
+"""Which columns a table has: a header of one row or of several, units beside or below the names, or none at all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from pisplit.data.cells import is_cell, is_number
+from pisplit.data.units import written
+
+#: Lines in which a header is looked for, and rows that it may have.
+TOP, ROWS = 120, 6
+DIGITS = re.compile(r"(\d+)")
+BRACKETS = re.compile(r"^(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]$")
+SEPARATORS = re.compile(r"[\s./_:]+")
+#: Ends of names of clocks that name their unit.
+CLOCK_UNITS = {"ms": "ms", "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "sec": "s", "s": "s"}
+
+Row = tuple[int, list[str]]
+
+
+@dataclass(frozen=True)
+class Header:
+    """Columns of a table.
+
+    columns  words of every column, from the upper row of the header to the lowest
+    line     number of the last line of the header
+    units    {position: unit} that a row below the names, or the lines above, tell
+    """
+
+    columns: tuple[tuple[str, ...], ...]
+    line: int
+    units: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns, as long as it takes to tell them apart."""
+        short = [words[-1] if words else "" for words in self.columns]
+        return [name if short.count(name) == 1 else " ".join(w) for name, w in zip(short, self.columns, strict=True)]
+
+    def find(self, name: str) -> list[int]:
+        """Positions of the columns that ``name`` may mean: the lowest words alone, without unit, or several words."""
+        short = [words[-1] if words else "" for words in self.columns]
+        for known in (short, [without_unit(text)[0] for text in short], [" ".join(w) for w in self.columns]):
+            found = [i for i, text in enumerate(known) if text == name]
+            if found:
+                return found
+        asked = _words(name)
+        return [
+            i
+            for i, words in enumerate(self.columns)
+            if words and asked and _words(without_unit(words[-1])[0])[-1:] == asked[-1:] and _within(asked, words)
+        ]
+
+    def unit(self, position: int, clock: bool = False) -> str | None:
+        """Unit of the column at ``position`` by a row of units or by its name; of a ``clock`` also by "time_ms"."""
+        if position in self.units:
+            return self.units[position]
+        words = self.columns[position]
+        unit = without_unit(words[-1])[1] if words else None
+        if unit is None and clock and words:
+            last = SEPARATORS.split(words[-1].lower())
+            unit = CLOCK_UNITS.get(last[-1]) if len(last) > 1 else None
+        return unit
+
+
+def header_of(rows: Sequence[Row], wanted: Sequence[str]) -> tuple[Header, bool]:
+    """The header among the first ``rows`` of a table, and whether it has each of the ``wanted`` names once.
+
+    Where none has, that which has most of them, or looks most like a header.
+    """
+    best, score = Header((), 0), -1
+    for at, (line, row) in enumerate(rows[:TOP]):
+        cells = _plain(row)
+        if not any(cells) or all(is_number(cell) for cell in cells if cell):
+            continue
+        found = Header(_stacked(rows, at, cells), line, _units(rows, at, cells))
+        hits = [len(found.find(name)) for name in wanted]
+        if all(n == 1 for n in hits):
+            return found, True
+        below = rows[at + 1][1] if at + 1 < len(rows) else []
+        ready = len(below) == len(row) and any(is_number(cell) for cell in below)
+        value = 10 * sum(n > 0 for n in hits) + 2 * ready + (len(cells) > 1)
+        if value > score:
+            best, score = found, value
+    return best, False
+
+
+def start_of(rows: Sequence[Row], size: int) -> int:
+    """Number of the last line before the samples of ``rows``, of ``size`` columns without names; -1 if none."""
+    for at, (line, row) in enumerate(rows):
+        cells = row[:size]
+        if [cell for cell in cells if cell] == [str(i) for i in range(size)][-len(cells) :] and at == 0 and size > 1:
+            continue  # numbers of columns, as pandas writes them
+        short = len(cells) == size and not any(row[size:])
+        if short and any(is_number(cell) for cell in cells) and all(not cell or is_cell(cell) for cell in cells):
+            return rows[at - 1][0] if at else line - 1
+    return -1
+
+
+def _plain(row: Sequence[str]) -> list[str]:
+    """Cells without the mark of a comment in front, which is part of a name in "%time"."""
+    cells = list(row)
+    if cells and re.match(r"^[#%]+\s", cells[0] + " ") and cells[0].strip("#% ") == "":
+        return cells[1:]
+    if cells and re.match(r"^#+\s*\S", cells[0]):
+        cells[0] = cells[0].lstrip("# ")
+    elif cells and re.match(r"^%+\s+\S", cells[0]):
+        cells[0] = cells[0].lstrip("% ")
+    return cells
+
+
+def _stacked(rows: Sequence[Row], at: int, cells: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Words of every column: those of the rows above of the same length, which reach to the next word, and its own."""
+    above: list[list[str]] = []
+    for _, row in reversed(rows[max(0, at - ROWS) : at]):
+        if len(row) != len(cells) or len(row) < 2 or not any(cell and not is_number(cell) for cell in row):
+            break
+        reaching, last = [], ""
+        for cell in row:
+            last = cell or last
+            reaching.append(last)
+        above.insert(0, reaching)
+    return tuple(
+        tuple(word for word in (*(row[i] for row in above), cell) if word) if cell else ()
+        for i, cell in enumerate(cells)
+    )
+
+
+def _units(rows: Sequence[Row], at: int, cells: Sequence[str]) -> dict[int, str]:
+    """Units in the row below the names, and those that the lines above give for all positions (OptiTrack)."""
+    below = rows[at + 1][1] if at + 1 < len(rows) else []
+    if any(below) and not any(is_cell(cell) for cell in below if cell):
+        found = {i: written(cell) for i, cell in enumerate(below[: len(cells)]) if cell}
+        if found and all(unit is not None or _dashes(below[i]) for i, unit in found.items()):
+            return {i: unit for i, unit in found.items() if unit}
+    for _, row in rows[:at]:
+        for key, value in pairwise(row):
+            unit = written(value) if key.lower() == "length units" else None
+            if unit:
+                stacked = _stacked(rows, at, cells)
+                return {i: unit for i, words in enumerate(stacked) if "Position" in words}
+    return {}
+
+
+def _dashes(cell: str) -> bool:
+    return not cell.strip("-[]() ")
+
+
+def without_unit(name: str) -> tuple[str, str | None]:
+    """The ``name`` and the unit in brackets behind it, if it is one."""
+    match = BRACKETS.match(name)
+    unit = written(match.group(2)) if match and match.group(1) else None
+    return (match.group(1), unit) if match and unit else (name, None)
+
+
+def _words(name: str) -> list[str]:
+    return [word for word in SEPARATORS.split(name) if word]
+
+
+def _within(asked: Sequence[str], words: Sequence[str]) -> bool:
+    """Whether all words that are asked for stand among those of a column, in their order."""
+    have = iter(_words(" ".join(words)))
+    return all(any(word == other for other in have) for word in asked)
