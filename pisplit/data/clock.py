@@ -50,6 +50,29 @@ def seconds(t: ArrayLike, time_unit: str | float | None = None) -> Array:
     return times
 
 
+def together(
+    first: tuple[Any, str | float | None, str], second: tuple[Any, str | float | None, str]
+) -> tuple[Array, Array]:
+    """Two clocks in seconds since one moment, NaN where missing.
+
+    ``first``, ``second``: times (N,), their unit as in :func:`seconds`, and their file. Raises ValueError where one has
+    dates and the other numbers.
+    """
+    arrays = [np.asarray(times) for times, _, _ in (first, second)]
+    dated = [array.dtype.kind in "OM" for array in arrays]
+    if dated[0] != dated[1]:
+        raise ValueError(f"{first[2]} and {second[2]} do not both have dates for times; write both clocks in one way")
+    if dated[0]:
+        both = [_instants(array) if array.dtype.kind == "O" else array for array in arrays]
+        joint = _elapsed(np.concatenate(both))
+        return joint[: len(arrays[0])], joint[len(arrays[0]) :]
+    if all(array.dtype.kind in "iu" and len(array) for array in arrays) and first[1] == second[1]:
+        start = min(int(array.min()) for array in arrays)
+        arrays = [array - start for array in arrays]
+    t, s = (seconds(array, unit) for array, (_, unit, _) in zip(arrays, (first, second), strict=True))
+    return t, s
+
+
 def counted(episode: ArrayLike | None, x: ArrayLike, dt: float | None) -> Array:
     """Times (N,) [s] of samples ``x`` (N, ...) that are ``dt`` [s] apart, from 0 on in every run of ``episode`` (N,).
 

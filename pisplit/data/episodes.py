@@ -19,6 +19,7 @@ from pisplit.data.columns import column_order, default_names, labels, regrouped,
 from pisplit.data.episode_checks import checked_arrays, extra_arrays, output_groups
 from pisplit.data.input_subspace import InputDirections, excited_directions
 from pisplit.data.pairs import Pairs, Start, all_pairs, checked_pairs
+from pisplit.data.patterns import Paths
 from pisplit.data.rows import Rows
 
 Array = NDArray[np.float64]
@@ -332,7 +333,7 @@ class Episodes:
     @classmethod
     def from_csv(
         cls,
-        path: tables.Paths,
+        path: Paths,
         time: str | Sequence[str] | None,
         states: str | Sequence[str],
         inputs: str | Sequence[str],

@@ -12,7 +12,6 @@ from pisplit.data.units import written
 
 #: Lines in which a header is looked for, and rows that it may have.
 TOP, ROWS = 120, 6
-DIGITS = re.compile(r"(\d+)")
 BRACKETS = re.compile(r"^(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]$")
 SEPARATORS = re.compile(r"[\s./_:]+")
 #: Ends of names of clocks that name their unit.

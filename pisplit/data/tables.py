@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import glob
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.data import cells, headers
+from pisplit.data import cells, headers, merging
 from pisplit.data.joining import Table, from_columns
+from pisplit.data.patterns import Paths, files_of
 from pisplit.data.text import DELIMITERS, rows_of, text_of
-
-Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 #: Lines that tell the delimiter.
 TOP = 200
@@ -31,6 +28,9 @@ def from_csv(
     names: Sequence[str] | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    commands: Paths | None = None,
+    command_time: str | Sequence[str] | None = None,
+    command_shift: float | None = None,
     **options: Any,
 ) -> dict[str, Any]:
     """Fields of :class:`pisplit.Episodes`, by name, of text tables.
@@ -45,6 +45,11 @@ def from_csv(
     names           names of all columns, for files without a header; lines before the first sample are passed over
     decimal         "." or ","; default: what the numbers have
     encoding        default: UTF-8, what the first bytes say, or Latin-1
+    commands        files of the inputs, where these have a clock of their own: one for each file of ``path``, or one
+                    for all. They hold from their time to the next, and are brought to the steps of the sensors
+    command_time    name of the column of times there; default: that of ``time``
+    command_shift   [s] that is added to the times of commands; default: found from the data where the motion comes
+                    before its commands; how far it follows them is warned of, and stands in ``provenance``
     options         as in :func:`pisplit.data.recordings.from_arrays`. Units that the file names, in brackets behind a
                     name or in a row below, count where ``state_units``, ``input_units``, ``time_unit`` are not given;
                     "" takes numbers as they are
@@ -62,37 +67,20 @@ def from_csv(
         raise ValueError(f"decimal = {decimal!r}; expected '.' or ','")
     clock = [] if time is None else [time] if isinstance(time, str) else list(time)
     files = files_of(path)
+    if commands is not None:
+        other = (
+            clock if command_time is None else [command_time] if isinstance(command_time, str) else list(command_time)
+        )
+        more = (delimiter, None, decimal, encoding)
+        sensors = [table(file, clock, groups[0], episode, delimiter, names, decimal, encoding) for file in files]
+        sent = [table(file, other, groups[1], None, *more) for file in files_of(commands)]
+        return merging.from_two_clocks(sensors, sent, groups[0], groups[1], command_shift, options)
+    if command_time is not None or command_shift is not None:
+        raise ValueError("command_time and command_shift are of commands in files of their own; give commands=")
     read = [
         table(file, clock, [*groups[0], *groups[1]], episode, delimiter, names, decimal, encoding) for file in files
     ]
     return from_columns(read, groups[0], groups[1], options)
-
-
-def files_of(path: Paths) -> list[Path]:
-    """The files of a ``path``: itself, those of a pattern in order of their names, or those of a list of these.
-
-    Raises FileNotFoundError where a pattern fits no file, and ValueError for an empty list and files named twice.
-    """
-    if not isinstance(path, str | os.PathLike):
-        found = [file for part in path for file in files_of(part)]
-        if not found:
-            raise ValueError("path is an empty list; give files or patterns")
-        twice = sorted({str(file) for file in found if found.count(file) > 1})
-        if twice:
-            raise ValueError(f"{twice[0]} is named twice; its samples would count twice")
-        return found
-    text = os.fspath(path)
-    if Path(text).exists() or not glob.has_magic(text):
-        return [Path(text)]
-    found = [Path(file) for file in sorted(glob.glob(text), key=_natural)]
-    if not found:
-        raise FileNotFoundError(f"{text} fits no file; expected a pattern such as 'run*.csv'")
-    return found
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Order of names by which run2 comes before run10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in headers.DIGITS.split(name)]
 
 
 def table(

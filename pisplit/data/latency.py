@@ -1,0 +1,148 @@
+"""How long after a command's time the motion follows, found from what predicts the next sample best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Delays are tried up to so many seconds, or so many steps where that is more; never more than this part of an episode.
+REACH, REACH_STEPS, REACH_PART = 0.3, 10, 0.25
+#: Samples of history, and principal components of the states, that the prediction starts from.
+HISTORY, COMPONENTS = 4, 6
+#: Stretches of pairs that are learned from and judged on in turn; the most pairs that are looked at.
+STRETCH, PAIRS = 10, 20_000
+#: One tap of the commands is enough if its residual exceeds that of two by no more than this part.
+ENOUGH = 0.05
+#: A delay is told only where it predicts better than the usual one by this part.
+VISIBLE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Latency:
+    """When the motion follows the commands.
+
+    delay     [s] from the time of a command to that of the motion that it makes; negative: the motion comes first, so
+              that the clocks are not one; None where commands do not tell
+    error     [s] within which it is: a step, where noise hides the first of a motion up to two, or where delays predict
+              alike
+    residual  root mean square of one-step residuals at ``delay``, over that of steps themselves
+    usual     the median of it over all delays that were tried
+    tried     (G, 2) delays in s and residuals
+    """
+
+    delay: float | None
+    error: float
+    residual: float
+    usual: float
+    tried: Array
+
+    def __str__(self) -> str:
+        if self.delay is None:
+            return "not visible: at no delay do commands predict the motion better than at others"
+        which = "after" if self.delay >= 0.0 else "BEFORE"
+        return f"{1e3 * abs(self.delay):.3g} ms (within {1e3 * self.error:.0f} ms) {which} the commands"
+
+
+def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency:
+    """Scan the delay between commands and motion: that at which a linear map predicts the next sample best.
+
+    The map takes four samples of up to six principal components of the states and the command, shifted by a delay that
+    need not be whole steps; it is fitted to one half of the pairs and judged on the other.
+
+    xs, us  states (T_i + 1, n) and inputs (T_i, m), one array an episode, row k held from sample k to k + 1
+    dt      step [s]
+
+    ``delay`` is None where the inputs rest, the episodes are too short, or no delay stands out.
+
+    Source: time delay estimation by explicit delay models, Bjorklund, A Survey and Comparison of Time-Delay Estimation
+    Methods in Linear Systems, Linkoping 2003, ch. 3.
+    """
+    longest = max(map(len, us))
+    reach = int(min(max(REACH / dt, REACH_STEPS), REACH_PART * longest))
+    data = _Pairs.of(xs, us, reach)
+    if data is None or reach < 1:
+        return Latency(None, np.inf, 1.0, 1.0, np.zeros((0, 2)))
+    grid = np.arange(-2 * reach, 2 * reach + 1) / 2.0
+    curves = {taps: np.array([data.residual(d, taps) for d in grid]) for taps in (1, 2)}
+    taps = 1 if curves[1].min() <= (1.0 + ENOUGH) * curves[2].min() else 2
+    curve = curves[taps]
+    best, least = float(grid[curve.argmin()]), float(curve.min())
+    usual = float(np.median(curve))
+    step = 0.25
+    while step > 0.02:
+        for candidate in (best - step, best + step):
+            value = data.residual(candidate, taps) if abs(candidate) <= reach else np.inf
+            if value < least:
+                best, least = candidate, value
+        step *= 0.5
+    tried = np.column_stack([dt * grid, curve])
+    if not least < (1.0 - VISIBLE) * usual:
+        return Latency(None, np.inf, least, usual, tried)
+    alike = grid[curve**2 <= least**2 * (1.0 + 40.0 / data.judged)]
+    error = max(1.0 + min(1.0, 3.0 * least), float(np.abs(alike - best).max(initial=0.0)))
+    return Latency(dt * best, dt * error, least, usual, tried)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Pairs far from the ends of their episodes: histories (N, h), steps (N, r), commands around each (N, w, m)."""
+
+    history: Array
+    step: Array
+    commands: Array
+    reach: int
+    even: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, xs: Sequence[Array], us: Sequence[Array], reach: int) -> _Pairs | None:
+        """None where there are too few, or nothing moves."""
+        x, u = np.concatenate(list(xs)), np.concatenate(list(us))
+        spread, mean = x.std(axis=0), u.mean(axis=0)
+        moving, commanded = spread > 1e-9 * np.abs(x).max(axis=0, initial=0.0), np.ptp(u, axis=0) > 0.0
+        if not moving.any() or not commanded.any():
+            return None
+        scale = np.where(moving, spread, np.inf)
+        _, _, axes = np.linalg.svd(((x - x.mean(axis=0)) / scale)[:: max(1, len(x) // PAIRS)], full_matrices=False)
+        parts: list[tuple[Array, Array, Array]] = []
+        for states, inputs in zip(xs, us, strict=True):
+            z = ((states - x.mean(axis=0)) / scale) @ axes[:COMPONENTS].T
+            k = np.arange(max(HISTORY - 1, reach + 1), len(inputs) - reach - 1)
+            if len(k) == 0:
+                continue
+            history = np.hstack([z[k - lag] for lag in range(HISTORY)])
+            around = (inputs[:, commanded] - mean[commanded])[k[:, None] + np.arange(-reach - 2, reach + 2)[None]]
+            parts.append((history, z[k + 1] - z[k], around))
+        if sum(len(step) for _, step, _ in parts) < 20 * HISTORY:
+            return None
+        history, step, around = (np.concatenate(part) for part in zip(*parts, strict=True))
+        thin = max(1, len(step) // PAIRS)
+        even = (np.arange(len(step)) // (STRETCH * thin)) % 2 == 0
+        return cls(history[::thin], step[::thin], around[::thin], reach, even[::thin])
+
+    @property
+    def judged(self) -> int:
+        return int((~self.even).sum())
+
+    def residual(self, delay: float, taps: int) -> float:
+        """Root mean square residual of pairs that were not fitted, relative to the steps; ``delay`` in steps."""
+        whole = int(np.floor(delay))
+        part, now = delay - whole, self.reach + 2 - whole
+        last = self.commands.shape[1] - 1
+        columns = [
+            (1.0 - part) * self.commands[:, min(max(now - tap, 0), last)]
+            + part * self.commands[:, min(max(now - tap - 1, 0), last)]
+            for tap in range(taps)
+        ]
+        a = np.hstack([np.ones((len(self.step), 1)), self.history, *columns])
+        size = np.sqrt(np.mean(a**2, axis=0))
+        a = a / np.where(size > 0.0, size, 1.0)
+        gram = a[self.even].T @ a[self.even]
+        gram[np.diag_indices_from(gram)] += 1e-9 * max(float(np.trace(gram)) / len(gram), 1e-300)
+        found = np.linalg.solve(gram, a[self.even].T @ self.step[self.even])
+        rest = self.step[~self.even] - a[~self.even] @ found
+        return float(np.sqrt((rest**2).sum() / max(float((self.step[~self.even] ** 2).sum()), 1e-300)))

@@ -1,0 +1,130 @@
+"""Sensors and commands that were logged apart, each with its own clock, become one recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pisplit.checks import finite_number
+from pisplit.data import clock
+from pisplit.data.joining import Table, from_columns
+from pisplit.data.latency import Latency, find_latency
+from pisplit.data.warning import warn
+
+Array = NDArray[np.float64]
+
+
+def from_two_clocks(
+    sensors: Sequence[Table],
+    commands: Sequence[Table],
+    states: Sequence[str],
+    inputs: Sequence[str],
+    command_shift: float | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Fields of Episodes of ``sensors`` with columns ``states`` and of ``commands`` with columns ``inputs``.
+
+    command_shift  [s] that is added to the times of the commands; None: what the data tell, if the motion comes before
+                   its commands; what is found is warned of
+    options        as in :func:`pisplit.data.recordings.from_arrays`
+
+    Each file of sensors goes with the file of commands of the same place in the list, or with the only one. Commands
+    hold from their time to the next. Raises ValueError, in one line, for other numbers of files, clocks that have no
+    time in common, and runs within a file.
+    """
+    if len(commands) not in (1, len(sensors)):
+        raise ValueError(
+            f"{len(sensors)} files of sensors, {len(commands)} of commands; give one for each, or one for all"
+        )
+    if any(t.times is None for t in [*sensors, *commands]):
+        raise ValueError("sensors and commands apart need times in both; name the column of times")
+    if any(t.runs is not None for t in [*sensors, *commands]):
+        raise ValueError("commands apart go with files of one run each; leave episode= out")
+    paired = list(commands) * len(sensors) if len(commands) == 1 else list(commands)
+    plain = {key: value for key, value in options.items() if key not in ("time_unit", "ranges")}
+    unit = options.get("time_unit")
+    told = None if command_shift is None else finite_number(command_shift, "command_shift")
+
+    def fields(shift: float, more: Mapping[str, Any]) -> dict[str, Any]:
+        merged = [_merged(s, c, unit, shift) for s, c in zip(sensors, paired, strict=True)]
+        return from_columns(merged, states, inputs, {**plain, **more})
+
+    ranges = {"ranges": options["ranges"]} if "ranges" in options else {}
+    first = fields(told or 0.0, ranges)
+    latency = find_latency(first["xs"], first["us"], first["dt"])
+    shift, text = (told, None) if told is not None else _shift(latency, first["dt"])
+    found = first if shift == (told or 0.0) else _silently(lambda: fields(shift, ranges))
+    if text:
+        warn(text)
+    found["provenance"] |= {
+        "commands": [c.source for c in commands],
+        "command_shift": shift,
+        "latency": None if latency.delay is None else latency.delay + (told or 0.0) - shift,
+        "latency_error": latency.error if math.isfinite(latency.error) else None,
+    }
+    return found
+
+
+def _shift(latency: Latency, dt: float) -> tuple[float, str | None]:
+    """The shift of the commands [s] that ``latency`` asks for, and what is said of it."""
+    if latency.delay is None:
+        return 0.0, "the delay between commands and sensors is not visible in the data; their clocks are taken for one"
+    late, within = 1e3 * latency.delay, 1e3 * latency.error
+    if latency.delay < -latency.error:
+        return latency.delay, (
+            f"the motion comes {-late:.0f} ms (within {within:.0f} ms) before its commands: these are moved by that; "
+            f"command_shift={latency.delay:.3g} says it, a shift that is known is better"
+        )
+    if latency.delay > max(latency.error, dt):
+        return 0.0, (
+            f"the motion follows its commands by {late:.0f} ms (within {within:.0f} ms): of the robot, which MPC takes "
+            f"as command_delay={latency.delay / dt:.2g}, or of clocks, which command_shift={latency.delay:.3g} mends"
+        )
+    return 0.0, None
+
+
+def _silently(made: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What was said of the recording when it was first made is not said again."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return made()
+
+
+def _merged(sensors: Table, commands: Table, time_unit: Any, shift: float) -> Table:
+    """One table of both: states where sensors were read, inputs where commands were sent."""
+    t, s = clock.together(
+        (sensors.times, sensors.clock or time_unit, sensors.source),
+        (commands.times, commands.clock or time_unit, commands.source),
+    )
+    s = s + shift
+    read, sent = np.flatnonzero(np.isfinite(t)), np.flatnonzero(np.isfinite(s))
+    if not len(read) or not len(sent) or s[sent].min() > t[read].max() or s[sent].max() < t[read].min():
+        spans = [f"{v[k].min():.6g} to {v[k].max():.6g} s" if len(k) else "no time" for v, k in ((t, read), (s, sent))]
+        raise ValueError(
+            f"{sensors.source} ({spans[0]}) and {commands.source} ({spans[1]}) have no time in common; "
+            f"give time_unit, or command_shift= between their clocks"
+        )
+    if (np.diff(s[sent]) < 0.0).any():
+        raise ValueError(f"{commands.source}: times run back; give one file a run")
+    before = sent[s[sent] <= t[read].min()]
+    wanted = np.concatenate([before[-1:], sent[(s[sent] > t[read].min()) & (s[sent] <= t[read].max())]])
+    times = np.union1d(t[read], s[wanted])
+    columns: dict[str, Array] = {}
+    for source, own, rows in ((sensors, t, read), (commands, s, wanted)):
+        at = np.searchsorted(times, own[rows])
+        if len(np.unique(at)) < len(at):
+            k = int(np.argmax(np.diff(np.sort(own[rows])) == 0.0))
+            raise ValueError(
+                f"{source.source}: time {np.sort(own[rows])[k]:.9g} s is there twice; keep one sample of each"
+            )
+        for name, column in source.columns.items():
+            columns[name] = np.full(len(times), np.nan)
+            columns[name][at] = column[rows]
+    return replace(sensors, columns=columns, units={**sensors.units, **commands.units}, times=times, clock="s")

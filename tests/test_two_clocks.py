@@ -1,0 +1,167 @@
+"""Sensors and commands that were logged apart: each on its own clock, brought together; what lies between is told."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pisplit import Dictionary, Episodes, LinearEDMDc
+from pisplit import observables as ob
+from pisplit.data.latency import find_latency
+
+Array = NDArray[np.float64]
+
+DT, N = 0.02, 400
+TURN = 10.0 * DT
+SWING = 0.96 * np.array([[np.cos(TURN), np.sin(TURN)], [-np.sin(TURN), np.cos(TURN)]])
+
+
+def swing(seed: int = 0, delay: int = 0, hold: int = 4) -> tuple[Array, Array]:
+    """States (N, 2) of an oscillator and commands (N, 1) that act ``delay`` steps later."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.0, 1.0, (N // hold + 1, 1)), hold, axis=0)[:N]
+    x = np.zeros((N, 2))
+    for k in range(N - 1):
+        x[k + 1] = SWING @ x[k] + [0.02, 0.2] * u[max(k - delay, 0)]
+    return x, u
+
+
+def written(
+    folder: Path, late: float = 0.0, seed: int = 0, start: float = 100.0, name: str = "0"
+) -> tuple[Array, Array]:
+    """Files of sensors (50 Hz), and of commands where they change, whose stamps are ``late`` [s]."""
+    x, u = swing(seed)
+    t = start + DT * np.arange(N)
+    rows = [f"{a:.6f},{b!r},{c!r}" for a, (b, c) in zip(t.tolist(), x.tolist(), strict=True)]
+    (folder / f"run{name}.csv").write_text("\n".join(["t,x,v", *rows]) + "\n")
+    new = np.flatnonzero(np.append(True, np.diff(u[:, 0]) != 0.0))
+    sent = [f"{t[k] + late:.6f},{float(u[k, 0])!r}" for k in new]
+    (folder / f"servo{name}.csv").write_text("\n".join(["stamp,pull", *sent]) + "\n")
+    return x, u
+
+
+ASK: dict[str, Any] = {"time": "t", "states": ["x", "v"], "inputs": ["pull"], "command_time": "stamp"}
+
+
+def exact(found: Episodes) -> float:
+    theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
+    return float(np.abs(LinearEDMDc(theta).fit(found).lifted.A - SWING).max())
+
+
+def test_commands_are_held_on_the_clock_of_the_sensors(tmp_path: Path) -> None:
+    x, u = written(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = Episodes.from_csv(tmp_path / "run0.csv", **ASK, commands=tmp_path / "servo0.csv")
+    np.testing.assert_allclose(found.xs[0], x, atol=1e-9)
+    np.testing.assert_allclose(found.us[0], u[:-1], atol=1e-9)
+    assert found.provenance is not None and abs(found.provenance["latency"]) <= found.provenance["latency_error"]
+    assert found.provenance["command_shift"] == 0.0 and found.provenance["commands"] == ["servo0.csv"]
+    assert exact(found) < 1e-8
+
+
+@pytest.mark.parametrize("late", [0.05, 0.08, 0.2])
+def test_commands_that_are_stamped_late_are_moved_back_and_it_is_said(tmp_path: Path, late: float) -> None:
+    """The motion cannot come before its command."""
+    written(tmp_path, late)
+    files = {"path": tmp_path / "run0.csv", "commands": tmp_path / "servo0.csv"}
+    with pytest.warns(UserWarning, match=r"the motion comes \d+ ms \(within \d+ ms\) before its commands"):
+        found = Episodes.from_csv(**files, **ASK)
+    assert found.provenance is not None
+    assert found.provenance["command_shift"] == pytest.approx(-late, abs=found.provenance["latency_error"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        known = Episodes.from_csv(**files, **ASK, command_shift=-late)
+    assert exact(known) < 1e-8
+
+
+def test_commands_that_act_later_are_left_and_said(tmp_path: Path) -> None:
+    written(tmp_path, -0.1)
+    with pytest.warns(UserWarning, match=r"follows its commands by \d+ ms .* MPC takes as command_delay|of clocks"):
+        found = Episodes.from_csv(tmp_path / "run0.csv", **ASK, commands=tmp_path / "servo0.csv")
+    assert found.provenance is not None and found.provenance["command_shift"] == 0.0
+    assert found.provenance["latency"] == pytest.approx(0.1, abs=found.provenance["latency_error"])
+
+
+def test_files_go_together_by_their_place_or_all_with_one(tmp_path: Path) -> None:
+    for k in range(2):
+        written(tmp_path, seed=k, start=100.0 + 20.0 * k, name=str(k))
+    each = Episodes.from_csv(str(tmp_path / "run*.csv"), **ASK, commands=str(tmp_path / "servo*.csv"))
+    whole = tmp_path / "all.csv"
+    whole.write_text((tmp_path / "servo0.csv").read_text() + (tmp_path / "servo1.csv").read_text().split("\n", 1)[1])
+    one = Episodes.from_csv(str(tmp_path / "run*.csv"), **ASK, commands=whole)
+    assert len(each) == len(one) == 2 and exact(each) < 1e-8
+    np.testing.assert_array_equal(each.stacked_states(), one.stacked_states())
+    np.testing.assert_allclose(each.stacked_inputs(), one.stacked_inputs(), atol=1e-12)
+    with pytest.raises(ValueError, match="1 files of sensors, 2 of commands"):
+        Episodes.from_csv(tmp_path / "run0.csv", **ASK, commands=str(tmp_path / "servo*.csv"))
+
+
+def test_clocks_of_other_units_and_dates_meet(tmp_path: Path) -> None:
+    x, u = written(tmp_path, start=0.0)
+    stamps = np.array(["2026-11-27T23:59:58"], "M8[us]") + (1e6 * DT * np.arange(N)).astype("m8[us]")
+    sensors = "\n".join(["t,x,v", *(f"{t},{a!r},{b!r}" for t, (a, b) in zip(stamps, x.tolist(), strict=True))])
+    commands = "\n".join(["stamp,pull", *(f"{t},{v!r}" for t, v in zip(stamps, u[:, 0].tolist(), strict=True))])
+    for text, name in ((sensors, "a.csv"), (commands, "b.csv")):
+        (tmp_path / name).write_text(text)
+    found = Episodes.from_csv(tmp_path / "a.csv", **ASK, commands=tmp_path / "b.csv")
+    np.testing.assert_allclose(found.us[0], u[:-1], atol=1e-9)
+    ticks = [f"{1_790_000_000_000_000_000 + 20_000_000 * k}" for k in range(N)]
+    for values, name, head in ((x.tolist(), "c.csv", "t [ns],x,v"), (u.tolist(), "d.csv", "stamp [ns],pull")):
+        rows = [",".join([t, *map(repr, v)]) for t, v in zip(ticks, values, strict=True)]
+        (tmp_path / name).write_text("\n".join([head, *rows]))
+    found = Episodes.from_csv(tmp_path / "c.csv", **ASK, commands=tmp_path / "d.csv")
+    np.testing.assert_allclose(found.us[0], u[:-1], atol=1e-9)
+    with pytest.raises(ValueError, match="do not both have dates"):
+        Episodes.from_csv(tmp_path / "c.csv", **ASK, commands=tmp_path / "b.csv")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": 900.0}, "have no time in common; give time_unit, or command_shift"),
+        ({"options": {"time": None, "dt": DT}}, "need times in both"),
+        ({"options": {"command_shift": "late"}}, "command_shift is not a number"),
+    ],
+)
+def test_what_does_not_meet_is_one_line(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    written(tmp_path, name="0")
+    written(tmp_path, start=change.get("start", 100.0), name="1")
+    ask = {**ASK, **change.get("options", {})}
+    with pytest.raises(ValueError, match=message) as error:
+        Episodes.from_csv(tmp_path / "run0.csv", **ask, commands=tmp_path / "servo1.csv")
+    assert "\n" not in str(error.value)
+
+
+def test_a_shift_without_commands_apart_is_refused(tmp_path: Path) -> None:
+    written(tmp_path)
+    with pytest.raises(ValueError, match="give commands="):
+        Episodes.from_csv(tmp_path / "run0.csv", "t", ["x", "v"], [], command_shift=0.1)
+
+
+@pytest.mark.parametrize("delay", [-3, 0, 2, 5])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("columns", [[0, 1], [0]], ids=["whole state", "position"])
+def test_the_delay_of_a_linear_system_is_found_within_what_is_told(
+    columns: list[int], noise: float, delay: int
+) -> None:
+    x, u = swing(3, max(delay, 0))
+    if delay < 0:
+        x, u = x[-delay:], u[:delay]
+    x = x[:, columns] + noise * np.random.default_rng(0).normal(size=(len(x), len(columns)))
+    found = find_latency([x], [u[:-1]], DT)
+    assert found.delay is not None and abs(found.delay - delay * DT) <= found.error <= 2.0 * DT
+
+
+def test_no_delay_is_told_where_inputs_say_nothing() -> None:
+    rng = np.random.default_rng(0)
+    x = swing()[0]
+    for u in (np.zeros((N - 1, 1)), rng.normal(size=(N - 1, 1))):
+        found = find_latency([x], [u], DT)
+        assert found.delay is None and "not visible" in str(found)
+    assert find_latency([x[:8]], [rng.normal(size=(7, 1))], DT).delay is None
