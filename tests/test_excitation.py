@@ -10,6 +10,7 @@ from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, TwinEDMDc
 from pisplit import observables as ob
 from pisplit.estimators.alpha_search import preferred
 from pisplit.estimators.boundedness import EXCURSION, Excitation
+from pisplit.estimators.commands import resampled_commands
 from pisplit.evaluation.rollouts import rollout_errors
 
 STABLE = np.array([[0.95, 0.10], [-0.08, 0.90]])
@@ -125,7 +126,7 @@ def test_the_smallest_ridge_that_helps_is_taken_when_alpha_is_given():
 
 def test_an_unstable_plant_is_reported_and_kept():
     d1 = episodes(a=1.12 * STABLE, steps=20)
-    with pytest.warns(UserWarning, match="no model that was tried stays bounded"):
+    with pytest.warns(UserWarning, match="the model does not stay bounded"):
         fitted = LinearEDMDc(theta(), alpha=1e-9).fit(d1, excitation=inputs(4, 400, 3))
     assert fitted.bounded_ is False
     with warnings.catch_warnings():
@@ -138,3 +139,44 @@ def test_an_excitation_of_another_shape_is_refused_in_one_line(wrong):
     with pytest.raises(ValueError, match="excitation") as found:
         LinearEDMDc(theta()).fit(episodes(), excitation=wrong)
     assert "\n" not in str(found.value)
+
+
+def test_commands_are_made_of_recorded_ones_and_lie_where_these_span():
+    d1 = episodes(n=5, steps=30)
+    two = Episodes(d1.xs, [np.hstack([u, 0 * u]) if i % 2 else np.hstack([0 * u, u]) for i, u in enumerate(d1.us)], 0.1)
+    made = resampled_commands(two)
+    assert made.shape == (32, 60, 2)
+    assert_array_equal(made, resampled_commands(two))
+    known = {tuple(row) for row in two.stacked_inputs()}
+    assert {tuple(row) for row in made[:16].reshape(-1, 2)} <= known
+    together = np.abs(made[16:]).min(axis=2) > 0.0  # averages move both inputs at once, within what one moves alone
+    assert together.mean() > 0.5 and (np.abs(made[16:]).sum(axis=2) <= np.abs(two.stacked_inputs()).max() + 1e-12).all()
+    assert resampled_commands(two, horizon=7).shape == (32, 7, 2)
+
+
+def test_bilinear_models_are_tested_unless_nobody_wants_it_and_linear_ones_on_demand():
+    d1 = episodes(noise=0.02)
+    bilinear, linear = BilinearEDMDc(theta(), alpha=1e-3), LinearEDMDc(theta(), alpha=1e-3)
+    assert bilinear.fit(d1).bounded_ is True and bilinear.fit(d1, excitation=None).bounded_ is None
+    assert linear.fit(d1).bounded_ is None and linear.fit(d1, excitation="data").bounded_ is True
+    with pytest.raises(ValueError, match="excitation = 'all'; expected 'auto', 'data', input sequences"):
+        linear.fit(d1, excitation="all")
+
+
+def test_a_bilinear_model_of_a_given_alpha_that_leaves_the_data_says_so():
+    d1 = episodes(n=2, steps=12, curved=0.05, noise=0.05)
+    with pytest.warns(UserWarning, match="the model does not stay bounded under the excitation"):
+        assert BilinearEDMDc(rich()).fit(d1).bounded_ is False
+
+
+def test_divergent_models_are_passed_over_by_default():
+    """Single inputs move in few noisy pairs: without the test some choices diverge under what nobody recorded."""
+    test, diverged = episodes(n=20, steps=100, seed=50, curved=0.05), {"auto": 0.0, None: 0.0}
+    for seed in range(4):
+        d1 = episodes(n=3, steps=12, seed=seed + 20, curved=0.05, noise=0.02)
+        for e in diverged:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                fitted = BilinearEDMDc(rich(), alpha=1e-9 if e is None else "cv").fit(d1, excitation=e)
+            diverged[e] += rollout_errors(fitted, test).diverged_fraction / 4
+    assert diverged["auto"] == 0.0 < diverged[None]

@@ -178,7 +178,8 @@ def test_the_structure_is_chosen_by_held_out_rollouts_and_the_bound() -> None:
     d1 = recorded()
     some = ReliftedEDMDc((1, 2), (0, 2), (2, 3), (1e-12, 1e-3)).fit(d1)
     chosen = some.search_.chosen
-    assert (chosen.components, chosen.leading) == (2, 2) and some.bounded_ is None
+    assert (chosen.components, chosen.leading) == (2, 2) and some.bounded_ is True
+    assert ReliftedEDMDc(**ARGUMENTS).fit(d1, excitation=None).bounded_ is None
     assert some.search_.error == some.search_.errors.min()
     usual = np.stack(d1.us)
     assert ReliftedEDMDc(**ARGUMENTS).fit(d1, excitation=usual).bounded_ is True

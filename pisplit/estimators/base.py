@@ -18,6 +18,7 @@ from pisplit.data.sums import not_episodes
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
+from pisplit.estimators.commands import excitation_inputs
 from pisplit.estimators.folds import Fold, fold_moments, make_folds
 from pisplit.estimators.instruments import instrumented_moments
 from pisplit.estimators.parameters import Parameters
@@ -47,7 +48,7 @@ class Estimator(Parameters):
 
     After ``fit``: ``lifted`` (LiftedModel), ``K_`` (learned rows of the operator, physical units), ``theta_`` (the
     dictionary with the names of the data), ``fit_`` (SplitFit), ``alpha_``, ``cv_`` (None unless alpha="cv") and
-    ``bounded_`` (None unless an excitation was given).
+    ``bounded_`` (None where boundedness was not tested).
     """
 
     theta: Dictionary
@@ -105,7 +106,7 @@ class Estimator(Parameters):
         d1: Episodes,
         pairs: Pairs | None,
         equilibria: Equilibria | None,
-        excitation: ArrayLike | None,
+        excitation: ArrayLike | str | None,
         more: PhaseSamples | Pairs | None = None,
     ) -> Problem:
         """The data of a fit, checked; ``more`` are phase samples or pairs of a twin that a read-out may learn from."""
@@ -138,9 +139,7 @@ class Estimator(Parameters):
             scale=column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale),
             base=whole,
             held=tuple(map(HeldOut, folds, learned, bases)),
-            excitation=_exciting(
-                excitation, theta, d1 if folds else None, chosen, more if isinstance(more, Pairs) else None
-            ),
+            excitation=self._exciting(excitation, theta, d1, chosen, more if isinstance(more, Pairs) else None),
         )
 
     def _fold_moments(
@@ -153,6 +152,16 @@ class Estimator(Parameters):
             return [whole if f.training is pairs else self._moments(theta, f.training, rest) for f in folds]
         resting = None if rest is None else pair_moments(theta, pairs.take(np.zeros(len(pairs), dtype=bool)), rest)
         return fold_moments(folds, pairs, whole, lambda part: pair_moments(theta, part), resting)
+
+    def _exciting(
+        self, inputs: ArrayLike | str | None, theta: Dictionary, d1: Episodes, pairs: Pairs, simulated: Pairs | None
+    ) -> Excitation | None:
+        """The excitation, from states of all data that this fit may know: ``pairs``, and all of ``d1`` in a search."""
+        inputs = excitation_inputs(inputs, theta.is_bilinear, d1, self.cv_horizon)
+        if inputs is None:
+            return None
+        known = d1.pairs(theta.n_delays) if self.alpha == "cv" else pairs
+        return Excitation.of(inputs, [known, *([simulated] if simulated is not None else [])], theta.names.quantities)
 
     def _moments(self, theta: Dictionary, pairs: Pairs, rest: tuple[Array, Array] | None) -> Moments:
         if self.instruments:
@@ -175,9 +184,10 @@ class Estimator(Parameters):
         """Make the model of the choice, with its provenance; warn of what it says against itself. Returns itself."""
         fit = choice.fit
         if choice.bounded is False:
+            which = "the model does not stay" if choice.search is None else "no model that was tried stays"
             warnings.warn(
-                f"no model that was tried stays bounded under the excitation (states within {EXCURSION:g} times the "
-                "data's range); give more data or a larger alpha",
+                f"{which} bounded under the excitation (states within {EXCURSION:g} times the data's range); give more "
+                "data or a larger alpha, or excitation=None if the plant is unstable",
                 stacklevel=3,
             )
         for reason in choice.search.reasons if choice.search else ():
@@ -261,16 +271,6 @@ def _resting(equilibria: Equilibria, theta: Dictionary) -> tuple[Array, Array]:
     x, u = in_order(equilibria[0], names.states, "states"), in_order(equilibria[1], names.inputs, "inputs")
     states = finite_array(x, "x of equilibria", (None, theta.n_states))
     return states, finite_array(u, "u of equilibria", (len(states), theta.n_inputs))
-
-
-def _exciting(
-    inputs: ArrayLike | None, theta: Dictionary, d1: Episodes | None, pairs: Pairs, simulated: Pairs | None
-) -> Excitation | None:
-    """The excitation, from states of all data that this fit may know: ``pairs``, and all of ``d1`` where it chooses."""
-    if inputs is None:
-        return None
-    known = pairs if d1 is None else d1.pairs(theta.n_delays)
-    return Excitation.of(inputs, [known, *([simulated] if simulated is not None else [])], theta.names.quantities)
 
 
 def _history(history: Any, theta: Dictionary) -> tuple[ArrayLike, ArrayLike | None]:

@@ -84,7 +84,7 @@ class DirectEDMDc(Estimator):
         d1: Episodes,
         pairs: Pairs | None = None,
         equilibria: Equilibria | None = None,
-        excitation: ArrayLike | None = None,
+        excitation: ArrayLike | str | None = "auto",
     ) -> _D:
         """Fit to all pairs of the episodes ``d1``, or to ``pairs`` drawn from them. Returns itself.
 
@@ -93,6 +93,8 @@ class DirectEDMDc(Estimator):
         ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
         the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
         three times the magnitude of its quantity in the data (:class:`pisplit.estimators.boundedness.Excitation`).
+        "data": commands put together from the recorded ones (:func:`pisplit.estimators.commands.resampled_commands`);
+        "auto": these for bilinear models, no test of linear ones; None: no test.
         """
         problem = self._problem(d1, pairs, equilibria, excitation)
         context = SplitContext(

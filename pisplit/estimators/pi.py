@@ -138,7 +138,7 @@ class PIEDMDc(Estimator):
         d2: PhaseSamples,
         pairs: Pairs | None = None,
         equilibria: Equilibria | None = None,
-        excitation: ArrayLike | None = None,
+        excitation: ArrayLike | str | None = "auto",
     ) -> PIEDMDc:
         """Fit to the phase samples d2 and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
 
@@ -147,6 +147,8 @@ class PIEDMDc(Estimator):
         ``excitation`` (E, T, m): input sequences that the model has to stay bounded under, for instance random ones of
         the kind it is made for. Nobody has to record what they do: alpha="cv" passes over models that take a state to
         three times the magnitude of its quantity in the data (:class:`pisplit.estimators.boundedness.Excitation`).
+        "data": commands put together from the recorded ones (:func:`pisplit.estimators.commands.resampled_commands`);
+        "auto": these for bilinear models, no test of linear ones; None: no test.
         """
         d2 = _matched(d2, d1, self.theta)
         problem = self._problem(d1, pairs, equilibria, excitation, d2)

@@ -21,6 +21,7 @@ from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import state_weights
 from pisplit.estimators.base import Estimator
 from pisplit.estimators.boundedness import Excitation
+from pisplit.estimators.commands import excitation_inputs
 from pisplit.estimators.fold_errors import FoldErrors, RolloutVerdict, constant_error, judged, reasons
 from pisplit.estimators.folds import Fold, make_folds
 from pisplit.estimators.relifted_coordinates import Coordinates, product_table
@@ -136,11 +137,15 @@ class ReliftedEDMDc(Estimator):
         """Steps of history a prediction starts from: one, the last input."""
         return 1
 
-    def fit(self, d1: Episodes, pairs: Pairs | None = None, excitation: ArrayLike | None = None) -> ReliftedEDMDc:
+    def fit(
+        self, d1: Episodes, pairs: Pairs | None = None, excitation: ArrayLike | str | None = "auto"
+    ) -> ReliftedEDMDc:
         """Choose and fit on all pairs of the episodes ``d1``, or on ``pairs`` drawn from them. Returns itself.
 
         ``excitation`` (E, T, m): input sequences that the model has to stay bounded under
-        (:class:`pisplit.estimators.boundedness.Excitation`). Warns if no structure that was tried stays bounded.
+        (:class:`pisplit.estimators.boundedness.Excitation`). "auto" and "data": commands put together from the recorded
+        ones (:func:`pisplit.estimators.commands.resampled_commands`); None: no test. Warns if no structure that was
+        tried stays bounded.
         Raises ValueError for data of which no recording can be held out, and if every structure diverges on those.
         """
         if not isinstance(d1, Episodes):
@@ -160,8 +165,9 @@ class ReliftedEDMDc(Estimator):
                 f"all {len(structures)} structures diverge on held-out recordings; give more data or components"
             )
         survive = None
-        if excitation is not None:
-            survive = Excitation.of(excitation, [d1.pairs(1)], theta.names.quantities)
+        inputs = excitation_inputs(excitation, True, d1, self.cv_horizon)
+        if inputs is not None:
+            survive = Excitation.of(inputs, [d1.pairs(1)], theta.names.quantities)
         order = [i for i in np.argsort(errors, kind="stable").tolist() if np.isfinite(errors[i])]
         models = ((i, next(self._models(d1, all_of, theta, [structures[i]]))[1]) for i in order)
         chosen = next(((i, m) for i, m in models if survive is None or survive.bounds(m)), None)

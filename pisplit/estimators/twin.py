@@ -83,7 +83,7 @@ class TwinEDMDc(Estimator):
         twin: Episodes,
         pairs: Pairs | None = None,
         equilibria: Equilibria | None = None,
-        excitation: ArrayLike | None = None,
+        excitation: ArrayLike | str | None = "auto",
     ) -> TwinEDMDc:
         """Fit to trajectories of the twin and to all pairs of the episodes d1, or to ``pairs`` drawn from them.
 
