@@ -20,6 +20,7 @@ from pisplit.data.episode_checks import checked_arrays, extra_arrays, output_gro
 from pisplit.data.input_subspace import InputDirections, excited_directions
 from pisplit.data.pairs import Pairs, Start, all_pairs, checked_pairs
 from pisplit.data.patterns import Paths
+from pisplit.data.report import DataReport, report_on
 from pisplit.data.rows import Rows
 
 Array = NDArray[np.float64]
@@ -269,6 +270,13 @@ class Episodes:
         """
         found = self.input_directions()
         return found.offset, found.basis
+
+    def report(self) -> DataReport:
+        """One look: length, dt, gaps, ranges, noise, excited directions, delay, suspicious columns, correlations.
+
+        ``print(d1.report())`` is a table, ``d1.report().plot("d1.png")`` a picture.
+        """
+        return report_on(self)
 
     def stacked_states(self) -> Array:
         """All states of all episodes (sum of T_i + 1, n), the memory of ``xs``."""

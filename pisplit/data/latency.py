@@ -16,6 +16,8 @@ REACH, REACH_STEPS, REACH_PART = 0.3, 10, 0.25
 HISTORY, COMPONENTS = 4, 6
 #: Stretches of pairs that are learned from and judged on in turn; the most pairs that are looked at.
 STRETCH, PAIRS = 10, 20_000
+#: Pairs that move by more than so many of the largest usual steps are spikes of a sensor, not motion.
+SPIKE = 4.0
 #: One tap of the commands is enough if its residual exceeds that of two by no more than this part.
 ENOUGH = 0.05
 #: A delay is told only where it predicts better than the usual one by this part.
@@ -120,6 +122,10 @@ class _Pairs:
         if sum(len(step) for _, step, _ in parts) < 20 * HISTORY:
             return None
         history, step, around = (np.concatenate(part) for part in zip(*parts, strict=True))
+        r = step.shape[1]
+        moves = np.abs(np.hstack([step, history[:, :-r] - history[:, r:]])).max(axis=1)
+        calm = moves <= SPIKE * float(np.quantile(moves, 0.95))
+        history, step, around = history[calm], step[calm], around[calm]
         thin = max(1, len(step) // PAIRS)
         even = (np.arange(len(step)) // (STRETCH * thin)) % 2 == 0
         return cls(history[::thin], step[::thin], around[::thin], reach, even[::thin])
