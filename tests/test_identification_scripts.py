@@ -28,6 +28,12 @@ def test_awkward_data_end_in_a_correct_answer_or_one_clear_error(tmp_path: Path)
     assert found["flagged cases"]["value"] <= 8
 
 
+def test_choices_on_little_data_are_good_or_say_that_they_may_not_be(tmp_path: Path) -> None:
+    found = figures("stress/stress_choices.py", tmp_path)
+    judged = {name: figure["met"] for name, figure in found.items() if figure["target"] is not None}
+    assert len(judged) == 12 and all(judged.values()), judged
+
+
 def test_the_benchmark_meets_the_targets_that_do_not_depend_on_the_machine(tmp_path: Path) -> None:
     found = figures("benchmarks/benchmark_identification.py", tmp_path)
     exact = [name for name in found if "gap" in name or "distance to cvxpy" in name or "u^3" in name or "'cv'" in name]
