@@ -24,6 +24,8 @@ if _TYPE_CHECKING:
     from pisplit.estimators.actuator_scan import FoundActuator as FoundActuator
     from pisplit.estimators.actuator_scan import find_actuator as find_actuator
     from pisplit.estimators.bilinear import BilinearEDMDc as BilinearEDMDc
+    from pisplit.estimators.choosing import Chosen as Chosen
+    from pisplit.estimators.choosing import choose as choose
     from pisplit.estimators.edmdc import LinearEDMDc as LinearEDMDc
     from pisplit.estimators.pi import PIEDMDc as PIEDMDc
     from pisplit.estimators.relifted import ReliftedEDMDc as ReliftedEDMDc
@@ -72,6 +74,7 @@ _PLACES = {
     "pisplit.dictionary.dictionary": "Dictionary",
     "pisplit.estimators.actuator_scan": "FoundActuator find_actuator",
     "pisplit.estimators.bilinear": "BilinearEDMDc",
+    "pisplit.estimators.choosing": "Chosen choose",
     "pisplit.estimators.edmdc": "LinearEDMDc",
     "pisplit.estimators.pi": "PIEDMDc",
     "pisplit.estimators.relifted": "ReliftedEDMDc",
@@ -99,6 +102,7 @@ _MODULES = {"observables": "pisplit.observables", "references": "pisplit.control
 __all__ = [
     "Actuator",
     "BilinearEDMDc",
+    "Chosen",
     "Comparison",
     "Dictionary",
     "Episodes",
@@ -126,6 +130,7 @@ __all__ = [
     "TendonArm",
     "TwinEDMDc",
     "balanced_truncation",
+    "choose",
     "compare",
     "find_actuator",
     "generator_edmd",

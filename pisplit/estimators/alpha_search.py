@@ -32,8 +32,7 @@ class AlphaSearch:
     held_out   numbers of the episodes that were held out, in one fold or another
     unbounded  alphas that were passed over: their models do not stay bounded under the excitation
     bounded    whether that of the choice does; None if nobody asked
-    folds      errors (G, F) fold by fold
-    names      (F,) of the folds: "recording 3", "steps 40 to 60"
+    table      errors fold by fold
     reasons    why the choice may be wrong, a line each; fit warns of them
     """
 
@@ -43,14 +42,28 @@ class AlphaSearch:
     held_out: tuple[int, ...]
     unbounded: tuple[float, ...]
     bounded: bool | None
-    folds: Array
-    names: tuple[str, ...]
+    table: FoldErrors
     reasons: tuple[str, ...]
+
+    @property
+    def position(self) -> int:
+        """Where the choice stands in the grid."""
+        return int(np.flatnonzero(self.alphas == self.chosen)[0])
 
     @property
     def error(self) -> float:
         """Error of the choice."""
-        return float(self.errors[int(np.flatnonzero(self.alphas == self.chosen)[0])])
+        return float(self.errors[self.position])
+
+    @property
+    def folds(self) -> Array:
+        """Errors (G, F) fold by fold."""
+        return self.table.errors
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (F,) of the folds: "recording 3", "steps 40 to 60"."""
+        return tuple(fold.name for fold in self.table.folds)
 
 
 @dataclass(frozen=True)
@@ -130,8 +143,7 @@ def fit_with_search(
     chosen = float(grid[best.best])
     numbers = tuple(sorted({i for fold in folds for i in fold.numbers}))
     passed = tuple(grid[list(best.passed)].tolist())
-    names = tuple(fold.name for fold in folds)
-    search = AlphaSearch(grid, errors, chosen, numbers, passed, best.bounded, found.errors, names, said)
+    search = AlphaSearch(grid, errors, chosen, numbers, passed, best.bounded, found, said)
     return Choice(final(chosen), chosen, search, best.bounded)
 
 

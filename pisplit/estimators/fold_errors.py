@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,21 @@ class FoldErrors:
 
         errors, early = (table(name).astype(np.float64) for name in ("error", "early"))
         return cls(tuple(folds), errors, early, table("diverged").astype(np.bool_), np.array(constant))
+
+    def take(self, which: Sequence[int]) -> FoldErrors:
+        """Those of the candidates at positions ``which``, in that order."""
+        rows = np.array(which, dtype=np.int64)
+        return replace(self, errors=self.errors[rows], early=self.early[rows], diverged=self.diverged[rows])
+
+    @classmethod
+    def together(cls, tables: Sequence[FoldErrors]) -> FoldErrors:
+        """The candidates of several ``tables`` on the same folds."""
+        return replace(
+            tables[0],
+            errors=np.concatenate([t.errors for t in tables]),
+            early=np.concatenate([t.early for t in tables]),
+            diverged=np.concatenate([t.diverged for t in tables]),
+        )
 
     @property
     def telling(self) -> Mask:

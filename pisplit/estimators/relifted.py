@@ -59,6 +59,7 @@ class StructureSearch:
     chosen     the first that stays bounded, or the first of all
     held_out   numbers of the episodes that were held out
     bounded    whether the choice stays bounded under the excitation; None if nobody asked
+    table      errors fold by fold, in the order of ``tried``
     reasons    why the choice may be wrong, a line each; fit warns of them
     """
 
@@ -67,12 +68,18 @@ class StructureSearch:
     chosen: Structure
     held_out: tuple[int, ...]
     bounded: bool | None
+    table: FoldErrors
     reasons: tuple[str, ...]
+
+    @property
+    def position(self) -> int:
+        """Where the choice stands among what was tried."""
+        return self.tried.index(self.chosen)
 
     @property
     def error(self) -> float:
         """Error of the choice."""
-        return float(self.errors[self.tried.index(self.chosen)])
+        return float(self.errors[self.position])
 
 
 class ReliftedEDMDc(Estimator):
@@ -187,7 +194,9 @@ class ReliftedEDMDc(Estimator):
         numbers = tuple(sorted({i for fold in folds for i in fold.numbers}))
         ranked = np.argsort(errors, kind="stable")
         tried = tuple(structures[i] for i in ranked)
-        self.search_ = StructureSearch(tried, errors[ranked], structures[best], numbers, bounded, said)
+        self.search_ = StructureSearch(
+            tried, errors[ranked], structures[best], numbers, bounded, found.take(ranked.tolist()), said
+        )
         self.lifted, self.theta_, self.bounded_ = chosen[1], theta, bounded
         return self
 
