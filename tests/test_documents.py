@@ -58,6 +58,16 @@ U = np.linspace([0.010, -0.005, -0.005], [0.004, 0.001, -0.002], 4)
 t, T, V = np.arange(4.0), np.ones(4), np.ones(4)
 """,
     "README.md": "",
+    "docs/recordings.md": f"""
+import sys
+sys.path.insert(0, {str(ROOT / "scripts")!r})
+import numpy as np
+from pathlib import Path
+import messy_log
+rng = np.random.default_rng(0)
+messy_log.write(Path("log"), [messy_log.simulated(rng, 6.0) for _ in range(3)], rng)
+sys.path.pop(0)
+""",
     "docs/front.md": """
 import numpy as np
 import pisplit as ps

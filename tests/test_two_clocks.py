@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from pathlib import Path
 from typing import Any
@@ -165,3 +166,18 @@ def test_no_delay_is_told_where_inputs_say_nothing() -> None:
         found = find_latency([x], [u], DT)
         assert found.delay is None and "not visible" in str(found)
     assert find_latency([x[:8]], [rng.normal(size=(7, 1))], DT).delay is None
+
+
+def test_the_messy_log_of_the_script_is_what_was_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "scripts"))
+    messy_log = importlib.import_module("messy_log")
+    rng = np.random.default_rng(1)
+    truths = [messy_log.simulated(rng, 6.0) for _ in range(2)]
+    spoilt = messy_log.write(tmp_path, truths, rng)
+    with pytest.warns(UserWarning, match="at exactly 0|repeat the last one|before its commands"):
+        found = messy_log.load(tmp_path)
+    assert found.provenance is not None and found.units == ("m",) * 3 and found.input_units == ("Pa",) * 2
+    taken = sum(max(names.values()) for names in found.provenance["screened"].values())
+    assert taken == spoilt - 2 * 3  # three cells of each run are empty
+    assert found.provenance["command_shift"] == pytest.approx(-messy_log.LATE, abs=found.provenance["latency_error"])
+    assert messy_log.worst_difference(found, truths) < 1e-3

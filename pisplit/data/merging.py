@@ -61,6 +61,7 @@ def from_two_clocks(
     found = first if shift == (told or 0.0) else _silently(lambda: fields(shift, ranges))
     if text:
         warn(text)
+    found["provenance"].pop("incomplete_samples")  # rows of both clocks: most have no command
     found["provenance"] |= {
         "commands": [c.source for c in commands],
         "command_shift": shift,

@@ -65,6 +65,8 @@ def from_arrays(
     fields         state_names, input_names, quantities, units (of states whose unit has no factor to SI), outputs and
                    provenance of :class:`pisplit.Episodes`
 
+    ``provenance`` counts what was read and lost; "starts" are the times [s] at which the episodes begin.
+
     Warns of readings that were screened, where more than 5 % of the samples are in no episode, and where dt or spacings
     do not look like one clock.
     Raises ValueError for times that do not increase, numbers that are infinite, unknown units, readings out of range,
@@ -118,6 +120,7 @@ def from_arrays(
         "pieces": len(xs) + short,
         "jitter": _jitter([run for run, _ in signals]),
         "interpolation": interpolation,
+        "starts": [float(grid[0]) for grid in cut],
         **({"screened": screened.found} if screened.found else {}),
         **({} if episode is None else {"runs": labels_of}),
     }

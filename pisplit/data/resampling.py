@@ -102,7 +102,11 @@ def pieces(
     for signal in states:
         spans = _both(spans, signal.covered(longest_gap(signal, step, max_gap)))
     grids, short = [], []
+    finest = min(states, key=lambda signal: signal.spacing).times
     for low, high in spans:
+        at = int(np.searchsorted(finest, low - ROUNDING * step))
+        if at < len(finest) and finest[at] <= high:
+            low = max(low, float(finest[at]))  # where commands come late a grid begins with a reading all the same
         count = int(np.floor((high - low) / step * (1.0 + 1e-9) + ROUNDING))  # rounding must not cost the last step
         if count < 1:
             short.append((low, high))
