@@ -13,6 +13,7 @@ from pisplit.checks import Array, check_same_step, count, finite_array, positive
 from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
 from pisplit.evaluation.rollouts import squared_unit
 from pisplit.models.arm.base import Arm
+from pisplit.models.arm.sight import Sight
 from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
 
 #: Distance of measured points from those of the arm, in parts of its length, beyond which it is another arm's shape.
@@ -22,8 +23,8 @@ STRANGE = 0.02
 class ArmPredictor:
     """Open-loop predictions of an ``arm``, drawn or calibrated, by its equations of motion.
 
-    Its states are the 24 fields at ``stations``; a prediction starts from the strains and rates that fit the frames and
-    velocities there (``Scene.coordinates``) and moves by large checked steps (``Scene.fast_stepper``). What it is worth
+    Its states are the 24 fields at ``stations``; a prediction starts from the strains and rates that look most like
+    what is measured there (``Sight.state``) and moves by large checked steps (``Scene.fast_stepper``). What it is worth
     is what the arm is: with the arm that made the recordings it is as good as its steps, with a drawing as good as the
     drawing.
 
@@ -40,7 +41,7 @@ class ArmPredictor:
     def __init__(self, arm: Arm, dt: float, stations: int = 6, actuator: Actuator | None = None) -> None:
         self.arm, self.dt, self.stations = arm, positive(dt, "dt", "s"), stations
         self.actuator = Actuator() if actuator is None else checked_actuator(actuator)
-        self._coordinates = arm.scene.coordinates(stations).function
+        self._sight = Sight(arm.scene, stations)
         self._stepper: Any = arm.scene.fast_stepper(dt=self.dt, stations=stations)
         found = arm.scene.field_map(stations)
         self.state_names, self.outputs = tuple(found.names), dict(found.outputs)
@@ -61,8 +62,7 @@ class ArmPredictor:
             raise ValueError("before is empty; give the commands up to the start, or leave it out")
         moved, _ = self.actuator.simulate(np.vstack([past, u]), self.dt, ActuatorState.at(past[0]))
         x = finite_array(x0, "x0", (len(self.state_names),))
-        rod = np.asarray(self._coordinates(x)).ravel()
-        start = np.concatenate([rod, moved[len(past) - 1]])
+        start = np.concatenate([self._sight.state(x), moved[len(past) - 1]])
         found = self._stepper.run(moved[len(past) :], start, check=False)
         fields = found.fields(self.stations).reshape(len(found.x), -1)
         points = (fields[0] - x).reshape(-1, N_FIELDS)[:, :3]

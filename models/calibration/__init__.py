@@ -1,7 +1,7 @@
 """Calibration: an arm identified from measured equilibria, shapes, pairs or recordings; the result is an arm again."""
 
 from pisplit.models.calibration.fit import calibrate_from_equilibria, calibrate_from_pairs, calibrate_from_shapes
-from pisplit.models.calibration.model import Calibration, nominal_parameters
+from pisplit.models.calibration.model import Calibration, CalibrationError, nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.parametrised import CalibratedTendons
 from pisplit.models.calibration.recordings import calibrate_from_recordings
@@ -9,6 +9,7 @@ from pisplit.models.calibration.recordings import calibrate_from_recordings
 __all__ = [
     "CalibratedTendons",
     "Calibration",
+    "CalibrationError",
     "TendonParameters",
     "calibrate_from_equilibria",
     "calibrate_from_pairs",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.models.arm.tendon_arm import TendonArm
@@ -78,6 +78,7 @@ def calibrate_from_equilibria(
             first,
             jac=lambda x: np.vstack([values(x)[1], model.prior_slope]),
             x_scale="jac",
+            bounds=(model.low, np.inf),
             max_nfev=500,
             ftol=1e-6,
             xtol=1e-6,
@@ -85,7 +86,7 @@ def calibrate_from_equilibria(
         fits.append(fit)
     found = min(fits, key=lambda fit: float(fit.cost))
     r = STATIC_ERROR * values(found.x)[0]
-    return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(u), found.status > 0)
+    return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(u), unfinished(found))
 
 
 def calibrate_from_shapes(
@@ -121,7 +122,7 @@ def calibrate_from_shapes(
 
     found = shapes.fit()
     missed = shapes.misses(found.x)
-    return model.result(found.x, float(np.sqrt(np.mean(missed**2))), len(shapes.u), found.status > 0)
+    return model.result(found.x, float(np.sqrt(np.mean(missed**2))), len(shapes.u), unfinished(found))
 
 
 def calibrate_from_pairs(
@@ -144,6 +145,9 @@ def calibrate_from_pairs(
         dt: length of the step in s.
         free, start: as in ``calibrate_from_equilibria``.
         evaluations: largest number of Gauss-Newton steps; each simulates every pair once for every parameter.
+
+    Raises CalibrationError where these are too few and predictions are still off by 1e-3 of the spread, and
+    RuntimeError where no pair could be simulated.
     """
     n, m = arm.scene.n_strains, arm.scene.n_inputs
     positive(dt, "dt", "s")
@@ -168,7 +172,7 @@ def calibrate_from_pairs(
                 errors[i], done[i] = (step.x[-1, : 2 * n] - x1[i]) / spread, True
         return errors, done
 
-    used = predicted(model.start[model.free])[1]
+    used = predicted(model.first)[1]
     if not used.any():
         raise RuntimeError("no pair could be simulated; check that before, after and inputs belong to this arm")
     x0, x1, u = x0[used], x1[used], u[used]
@@ -176,15 +180,22 @@ def calibrate_from_pairs(
     def residual(x: Array) -> Array:
         return np.concatenate([predicted(x)[0].ravel() / STEP_ERROR, model.prior(x)])
 
-    scale = model.spread[model.free]
     found = least_squares(
         residual,
-        model.start[model.free],
+        model.first,
         jac=central_slope(residual),
-        x_scale=scale,
+        x_scale=model.width,
         max_nfev=evaluations,
         ftol=SIMULATED_DIGITS,
         xtol=SIMULATED_DIGITS,
     )
-    r = predicted(found.x)[0]
-    return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(x0), found.status > 0)
+    missed = float(np.sqrt(np.mean(predicted(found.x)[0] ** 2)))
+    why = unfinished(found) if missed > STEP_ERROR else ""  # below are digits of the integrator
+    return model.result(found.x, missed, len(x0), why)
+
+
+def unfinished(found: OptimizeResult) -> str:
+    """Why a fit ``found`` by scipy is not to be relied on; empty if it is."""
+    if found.status > 0:
+        return ""
+    return f"no end after {found.nfev} evaluations, the sum of squares still falls ({found.message.lower()})"

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pisplit.checks import Array, positive
+from pisplit.data.actuator import Actuator
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.calibration.parameters import REFERENCE_SPEED, TendonParameters
+from pisplit.models.calibration.parameters import REFERENCE_MASS, REFERENCE_SPEED, TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons
-from pisplit.models.rod import Displacement, KelvinVoigt, Scene, Tendons
+from pisplit.models.rod import Displacement, KelvinVoigt, PointMass, Scene, Tendons
 
 #: What can be identified: parallel tendons; factors of the backbone's stiffness and damping; the routing, by how much
 #: every tendon's point at the tip differs from that at the base; a mass at the tip; friction of the tendons.
 GROUPS = ("tendons", "bending", "damping", "routing", "load", "friction")
+#: Parameters of servos, which recordings alone tell, and their typical size: lag in s, play in m.
+SERVO = {"lag": 0.03, "play": 3e-4}
 #: Spread of every parameter about its first guess that regularises the fit: offsets by half a radius, stiffness and
 #: slack by a factor of e^3 and 1 mm, rounding by e, stiffness and damping of the backbone by e^0.3 and e, points at
 #: the tip by half a radius, a mass there by 10 g, friction by 0.1 and the speed over which it turns round by e.
@@ -33,6 +36,19 @@ SPREAD = {
 }
 
 
+class CalibrationError(RuntimeError):
+    """A calibration that is not to be relied on: what failed and by how much.
+
+    Args:
+        message: that in words.
+        calibration: where it ended, to look at.
+    """
+
+    def __init__(self, message: str, calibration: Calibration) -> None:
+        super().__init__(message)
+        self.calibration = calibration
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Identified arm.
@@ -42,14 +58,14 @@ class Calibration:
     residual    root mean square of the residuals: parts of EI/L (equilibria), standard deviations of the measurement
                 (shapes), or parts of the coordinates' spread (pairs)
     samples     number of equilibria or pairs that were used; a pair whose simulation fails does not count
-    success     False if the least squares stopped before they converged
+    actuator    servos between commands and displacements, as they were told or identified
     """
 
     arm: TendonArm
     parameters: TendonParameters
     residual: float
     samples: int
-    success: bool
+    actuator: Actuator = field(default_factory=Actuator)
 
     def with_damping(self, factor: float) -> Calibration:
         """The same with another factor of the backbone's damping."""
@@ -90,19 +106,34 @@ def nominal_parameters(arm: TendonArm) -> TendonParameters:
     )
 
 
+def carried(arm: TendonArm) -> float:
+    """Mass in kg that the scene of an ``arm`` has at its tip: what an identified one may take away."""
+    length = arm.scene.rod.length
+    masses = [t.mass for t in arm.scene.terms if isinstance(t, PointMass) and np.isclose(t.s, length)]
+    return float(sum(masses))
+
+
 class ParametrisedArm:
     """The backbone with parametrised tendons, and which parameters are free.
 
     Args:
         arm: the arm.
         start: first guess; the arm's own tendons when not given.
-        free: parts of ``GROUPS``.
+        free: parts of ``GROUPS``, of ``SERVO`` too with a ``servo``.
+        servo: first guess of what stands between commands and displacements.
     """
 
-    def __init__(self, arm: TendonArm, start: TendonParameters | None, free: Sequence[str]) -> None:
-        unknown = [name for name in free if name not in GROUPS]
+    def __init__(
+        self,
+        arm: TendonArm,
+        start: TendonParameters | None,
+        free: Sequence[str],
+        servo: Actuator | None = None,
+    ) -> None:
+        known = GROUPS if servo is None else (*GROUPS, *SERVO)
+        unknown = [name for name in free if name not in known]
         if unknown or not free:
-            raise ValueError(f"free = {list(free)}; expected some of {', '.join(GROUPS)}")
+            raise ValueError(f"free = {list(free)}; expected some of {', '.join(known)}")
         first = nominal_parameters(arm) if start is None else start
         arm.check_one_section("calibration")
         self.arm, self.m = arm, first.n_tendons
@@ -127,6 +158,16 @@ class ParametrisedArm:
         self.spread = np.concatenate([np.full(size, SPREAD[name]) for name, size in parts.items()])
         groups = np.repeat(GROUPS, [4 * m + 1, 1, 1, 2 * m, 1, 2])
         self.free = np.flatnonzero(np.isin(groups, list(free)))
+        #: Servo parameters come after those of the scene in every vector of free parameters.
+        self.servo_free = [name for name in SERVO if name in free]
+        told = np.array([getattr(servo, name) / SERVO[name] for name in self.servo_free], dtype=float)
+        self.first = np.concatenate([self.start[self.free], told])
+        self.width = np.concatenate([self.spread[self.free], np.ones(len(told))])
+        low = np.full(len(self.start), -np.inf)
+        low[6 * m + 4] = 0.0
+        low[6 * m + 3] = -carried(arm) / REFERENCE_MASS
+        self.low = np.concatenate([low[self.free], np.zeros(len(told))])
+        self.servo = servo
         self.rubs = "friction" in free or first.friction > 0.0
         self.scene = self._scene(None)
         self.slots = {"moves": np.arange(m), PARAMETERS: np.arange(m, m + len(self.start))}
@@ -140,33 +181,51 @@ class ParametrisedArm:
                 values = self.start.copy()
                 values[2 * m : 3 * m] += stiffness
                 values[3 * m : 4 * m] += slack
-                found.append(values[self.free])
+                found.append(np.maximum(values[self.free], self.low))
         return found
 
     def full(self, x: Array) -> Array:
         """All parameters, from the free ones. ``x`` (P,) are these."""
         values = self.start.copy()
-        values[self.free] = x
+        values[self.free] = x[: len(self.free)]
         return values
+
+    def actuator(self, x: Array) -> Actuator:
+        """The servo of free parameters ``x`` (P,)."""
+        found = Actuator() if self.servo is None else self.servo
+        told = {name: SERVO[name] * float(v) for name, v in zip(self.servo_free, x[len(self.free) :], strict=True)}
+        return replace(found, **told)
 
     def prior(self, x: Array) -> Array:
         """Distance from the first guess in standard deviations. ``x`` (P,) are the free parameters."""
-        return (x - self.start[self.free]) / self.spread[self.free]
+        return (x - self.first) / self.width
 
     @property
     def prior_slope(self) -> Array:
         """d prior / dx."""
-        return np.diag(1.0 / self.spread[self.free])
+        return np.diag(1.0 / self.width)
 
-    def result(self, x: Array, residual: float, samples: int, success: bool) -> Calibration:
+    def result(
+        self, x: Array, residual: float, samples: int, why: str = "", covariance: Array | None = None
+    ) -> Calibration:
         """The identified arm.
 
-        ``x`` (P,) are its free parameters; ``residual``, ``samples`` and ``success`` as in ``Calibration``.
+        Args:
+            x: its free parameters (P,).
+            residual, samples: as in ``Calibration``.
+            why: it is not to be relied on; empty if it is.
+            covariance: of the free parameters (P, P).
+
+        Raises CalibrationError where there is a reason ``why`` not to rely on it.
         """
         values = self.full(x)
         scene = self._scene(tuple(values.tolist()))
         arm = TendonArm(scene, self.arm.pretension, self.arm.amplitude)
-        return Calibration(arm, TendonParameters.of_vector(values, self.radius), residual, samples, success)
+        parameters = TendonParameters.of_vector(values, self.radius)
+        found = Calibration(arm, parameters, residual, samples, self.actuator(x))
+        if why:
+            raise CalibrationError(f"calibration failed: {why}; {len(x)} parameters, residual {residual:.3g}", found)
+        return found
 
     def _scene(self, values: tuple[float, ...] | None) -> Scene:
         backbone = self.arm.passive

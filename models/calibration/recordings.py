@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array, non_negative, positive
+from pisplit.data.actuator import Actuator, checked_actuator
+from pisplit.models.arm.sight import Sight
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.model import Calibration, ParametrisedArm
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.calibration.resting_shapes import RestingShapes
-from pisplit.models.rod import Scene
 from pisplit.models.rod.analysis.fields import N_FIELDS
 
-#: Internal steps of the integrator in s: its error stays far below that of measurements.
-STEP = 0.01
+#: Internal steps of the integrator in s, and their Radau stages: the error stays far below that of measurements, and
+#: friction that turns round is damped.
+STEP, STAGES = 0.015, 2
 #: Gauss-Newton ends when no free parameter, of order one, changes by more, or the sum of squares falls by a smaller
 #: part; and after so many steps.
 CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
@@ -34,14 +35,16 @@ UNSEEN = 1e-7
 SHAPES_DIGITS, SHAPES_STEPS = 1e-3, 20
 #: Largest change of a parameter in one step.
 TRUSTED = 0.7
-#: Quantities that count, station by station; axial strains of a stiff backbone cannot be measured.
-MEASURED = ("p", "R", "w", "q", "omega")
+#: Change of lag and play, in their typical sizes, by which commands are differentiated.
+NUDGE = 1e-3
+#: Least standard deviation in m of shapes at rest beside recordings: friction and play leave arms anywhere about there.
+LOOSE = 2e-3
 
 
 def calibrate_from_recordings(
     arm: TendonArm,
     fields: ArrayLike,
-    inputs: ArrayLike,
+    inputs: ArrayLike | Sequence[ArrayLike],
     dt: float,
     position_error: float = 1e-3,
     rotation_error: float = 0.02,
@@ -51,6 +54,7 @@ def calibrate_from_recordings(
     start: TendonParameters | None = None,
     equilibria: tuple[ArrayLike, ArrayLike] | None = None,
     input_error: float = 0.0,
+    actuator: Actuator | None = None,
 ) -> Calibration:
     """Parameters whose motion looks like noisy recordings, and the initial state of each of them.
 
@@ -62,59 +66,75 @@ def calibrate_from_recordings(
 
     Args:
         fields: measured fields (N, T+1, 24 S) at T+1 instants of N recordings; a few steps each are enough.
-        inputs: displacements (N, T+1, m) in m at these instants; they move linearly in between.
+        inputs: displacements (N, T+1, m) in m at these instants; they move linearly in between. With an ``actuator``:
+            for every recording all commands (D, m) from rest on, the last T+1 of them at its instants.
         dt: time between the instants in s.
         stations: their number S.
         position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
         rate_error: that of curvatures and velocities, in parts of their spread in the recordings.
-        arm, free, start: as in ``calibrate_from_pairs``.
-        equilibria: displacements (M, m) in m and measured fields (M, 24 S) at rest under them, which count too.
-        input_error: standard deviation in m of the displacements, such as a play between servo and tendons makes: each
-            recording and each equilibrium then has unknown displacements too, the measured ones and a constant.
+        arm, free, start: as in ``calibrate_from_pairs``; with an ``actuator`` "lag" and "play" may be free, too.
+        equilibria: displacements (M, m) in m and measured fields (M, 24 S) at rest under them: the first guess is
+            fitted to them as they are, and they count beside the recordings.
+        input_error: standard deviation in m of the displacements, such as an unknown play makes: each recording and
+            each equilibrium then has unknown displacements too, the measured ones and a constant.
+        actuator: first guess of the servos between commands and displacements.
 
     ``residual`` of the result is in standard deviations of the measurement. Raises RuntimeError where no recording can
-    be simulated; ``success`` is False where the steps did not converge, or some recordings could not be simulated.
+    be simulated, and ``CalibrationError``, which is one, where the steps did not converge, or some recordings could
+    not be simulated.
     """
     y = finite_array(fields, "fields", (None, None, N_FIELDS * stations))
-    u = finite_array(inputs, "inputs", (len(y), y.shape[1], arm.scene.n_inputs))
     if y.shape[1] < 2:
         raise ValueError("recordings hold one instant; expected two or more")
-    model = ParametrisedArm(arm, start, free)
-    seen = _Sight(model.scene, stations)
+    model = ParametrisedArm(arm, start, free, None if actuator is None else checked_actuator(actuator))
+    given: Any = inputs
+    if actuator is None:
+        logs = list(finite_array(given, "inputs", (len(y), y.shape[1], arm.scene.n_inputs)))
+    else:
+        logs = [finite_array(log, "inputs", (None, arm.scene.n_inputs)) for log in given]
+        if len(logs) != len(y) or any(len(log) < y.shape[1] for log in logs):
+            raise ValueError(f"inputs are {len(logs)} command logs; expected {len(y)} of {y.shape[1]} rows or more")
+    seen = Sight(model.scene, stations)
     play = non_negative(input_error, "input_error", "m")
-    motion = _Motion(model, seen, dt, y, u, seen.errors(y, position_error, rotation_error, rate_error), play)
-    first = np.asarray(model.scene.coordinates(stations).function.map(len(y))(y[:, 0].T)).T
-    first = np.hstack([first, np.zeros((len(y), motion.n_offsets))])
-    rest, x, weight, converged = None, model.start[model.free], 0.0, False
+    motion = _Motion(model, seen, dt, y, logs, seen.errors(y, position_error, rotation_error, rate_error), play)
+    first = np.stack([np.concatenate([seen.state(rows[0]), np.zeros(motion.n_offsets)]) for rows in y])
+    rest, x = None, model.first
     if equilibria is not None:
-        rest = RestingShapes(model, *equilibria, position_error, rotation_error, stations, play)
+        strict = RestingShapes(model, *equilibria, position_error, rotation_error, stations, play)
+        x = np.asarray(strict.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
+        loose = max(1.0, LOOSE / position_error) if model.rubs else 1.0
+        rest = strict.weighed_down(loose)
     problem = _Problem(model, motion, rest)
     best = problem.linearised(x, first)
     if rest is not None:
-        resting = np.asarray(rest.fit(SHAPES_DIGITS, SHAPES_STEPS).x, dtype=np.float64)
-        tried = problem.linearised(resting, first)
-        if tried.better(best):  # shapes at rest alone may leave an arm that cannot be moved
-            x, best = resting, tried
+        tried = problem.linearised(model.first, first)
+        if not best.better(tried):  # shapes at rest alone may leave an arm that cannot be moved
+            x, best = model.first, tried
     if not best.used:
         raise RuntimeError("no recording could be simulated; check that fields and inputs belong to this arm")
+    weight, why = 0.0, f"no end after {STEPS} steps"
     for _ in range(STEPS):
-        damped = best.normal + weight * np.diag(np.diag(best.normal))
-        wanted = -np.linalg.solve(damped, best.right)
-        change = np.asarray(min(1.0, TRUSTED / max(float(np.abs(wanted).max()), 1e-300)) * wanted, dtype=np.float64)
+        change = problem.change(x, best, weight)
         start_of = best.moved(first, change)
         tried = problem.linearised(x + change, start_of)
         small = bool(np.abs(change).max() < CONVERGED)
+        fell = best.cost - tried.cost
         if tried.better(best):
-            still = tried.used == best.used and best.cost - tried.cost < UNLIKELIER * best.cost
-            converged = weight <= HELD_BACK and (small or still)
+            still = tried.used == best.used and fell < UNLIKELIER * best.cost
+            done = weight <= HELD_BACK and (small or still)
             x, first, best, weight = x + change, start_of, tried, EASED * weight
+            if done:
+                why = ""
+                break
         else:
             weight = max(STIFFENED * weight, 1e-3)
             if small:  # uphill however short the step: the end, but not one to rely on
+                why = f"the sum of squares {best.cost:.3g} rises by {-fell:.2g} however short the step"
                 break
-        if converged:
-            break
-    return model.result(x, float(np.sqrt(best.misses / best.entries)), best.used, converged and best.used == len(y))
+    if not why and best.used < len(y):
+        why = f"{len(y) - best.used} of {len(y)} recordings could not be simulated"
+    residual = float(np.sqrt(best.misses / best.entries))
+    return model.result(x, residual, best.used, why)
 
 
 @dataclass(frozen=True)
@@ -156,9 +176,27 @@ class _Problem:
     motion: _Motion
     rest: RestingShapes | None
 
+    def change(self, x: Array, local: _Local, weight: float) -> Array:
+        """A damped Gauss-Newton step from ``x`` (P,) that is not too long and stays above the bounds."""
+        model = self.model
+        free = np.ones(len(x), dtype=bool)
+        for _ in range(len(x)):
+            step = np.zeros(len(x))
+            normal = local.normal[np.ix_(free, free)]
+            step[free] = -np.linalg.solve(normal + weight * np.diag(np.diag(normal)), local.right[free])
+            step *= min(1.0, TRUSTED / max(float(np.abs(step).max()), 1e-300))
+            outside = free & (x + step < model.low)
+            if not outside.any():
+                return step
+            held = outside & (x <= model.low)
+            if not held.any():  # up to the bound, this time
+                return np.maximum(x + step, model.low) - x
+            free &= ~held
+        return np.zeros(len(x))
+
     def linearised(self, x: Array, first: Array) -> _Local:
         """The problem about parameters ``x`` (P,) and initial states ``first`` (N, 2n)."""
-        prior, spread = self.model.prior(x), self.model.spread[self.model.free]
+        prior, spread = self.model.prior(x), self.model.width
         normal, right = np.diag(1.0 / spread**2), prior / spread
         misses, entries = 0.0, 0
         if self.rest is not None:
@@ -184,68 +222,50 @@ class _Problem:
         return _Local(normal, right, misses + float(prior @ prior), misses, entries, backs)
 
 
-class _Sight:
-    """What sensors see of a state [xi, xi_t], with its derivative; the same entries of measured fields."""
-
-    def __init__(self, scene: Scene, stations: int) -> None:
-        self.scene, self.stations = scene, stations
-        self.quantities = np.array(scene.field_map(stations).quantities)
-        self.rows = np.flatnonzero(np.isin(self.quantities, MEASURED))
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """state (2n,) -> entries (K,) and d entries / d state (K, 2n)."""
-        n, fields = self.scene.n_strains, self.scene.field_map(self.stations).symbolic
-        state = ca.SX.sym("state", 2 * n)
-        zero, rest = ca.SX.zeros(n), ca.SX.zeros(self.scene.n_inputs)
-        entries = fields(state[:n], state[n:], zero, rest)[self.rows.tolist()]
-        return ca.Function("sight", [state], [entries, ca.jacobian(entries, state)])
-
-    def errors(self, fields: Array, position: float, rotation: float, rate: float) -> Array:
-        """Standard deviation (K,) of every entry; quantities that never move (the clamp's) get that of others."""
-        found = np.empty(len(self.quantities))
-        for name in MEASURED:
-            of = self.quantities == name
-            if name in ("p", "R"):
-                found[of] = positive(position if name == "p" else rotation, f"error of {name}")
-            else:
-                values = fields[..., of]
-                spread = float(np.sqrt(np.mean((values - values.mean(axis=(0, 1))) ** 2)))
-                found[of] = positive(rate, "rate_error") * (spread or 1.0)
-        return np.asarray(found[self.rows])
-
-
 class _Motion:
     """Misses of simulated recordings and their derivatives."""
 
     def __init__(
         self,
         model: ParametrisedArm,
-        seen: _Sight,
+        seen: Sight,
         dt: float,
         fields: Array,
-        inputs: Array,
+        logs: Sequence[Array],
         errors: Array,
         input_error: float,
     ) -> None:
         self.model, self.seen, self.errors, self.input_error = model, seen, errors, input_error
         self.n_offsets = model.m if input_error > 0.0 else 0
-        self.fields, self.inputs = fields[..., seen.rows], inputs
-        self.stepper = model.scene.stepper(positive(dt, "dt", "s"), step=STEP)
+        self.fields, self.logs, self.dt = fields[..., seen.rows], logs, positive(dt, "dt", "s")
+        self.stepper = model.scene.fast_stepper(self.dt, step=STEP, stages=STAGES)
+
+    def served(self, x: Array, i: int) -> tuple[Array, Array]:
+        """Displacements (T+1, m) of recording ``i`` and their derivatives (T+1, m, Q) in the free servo parameters."""
+        model, log, kept = self.model, self.logs[i], self.fields.shape[1]
+        if model.servo is None:
+            return log, np.zeros((*log.shape, 0))
+        at = len(model.free)
+        found = model.actuator(x).simulate(log, self.dt)[0][-kept:]
+        slopes = np.zeros((*found.shape, len(x) - at))
+        for k in range(len(x) - at):
+            ahead = x.copy()
+            ahead[at + k] += NUDGE
+            slopes[..., k] = (model.actuator(ahead).simulate(log, self.dt)[0][-kept:] - found) / NUDGE
+        return found, slopes
 
     def linearised(self, x: Array, first: Array, i: int) -> tuple[Array, Array, Array] | None:
         """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and offsets
         of the displacements, and in free parameters; None where the simulation fails."""
         model, n = self.model, 2 * self.model.scene.n_strains
-        own, offset = n + self.n_offsets, first[n:]
-        y, u = self.fields[i], self.inputs[i]
+        own, offset, moves = n + self.n_offsets, first[n:], model.slots["moves"]
+        y, (u, of_servo) = self.fields[i], self.served(x, i)
         w = np.zeros((len(u), model.scene.n_inputs))
-        w[:, model.slots["moves"]] = u + (offset if self.n_offsets else 0.0)
+        w[:, moves] = u + (offset if self.n_offsets else 0.0)
         w[:, model.slots[PARAMETERS]] = model.full(x)
-        parameters = np.concatenate(
-            [model.slots["moves"][: self.n_offsets], model.slots[PARAMETERS][model.free]]
-        )  # offsets of displacements are constant, too
-        state, slope = np.concatenate([first[:n], w[0]]), np.zeros((n, own + len(model.free)))
+        constant = np.concatenate([moves[: self.n_offsets], model.slots[PARAMETERS][model.free]])  # offsets are, too
+        servo = slice(n + len(constant), None)
+        state, slope = np.concatenate([first[:n], w[0]]), np.zeros((n, own + len(x)))
         slope[:, :n] = np.eye(n)
         misses, slopes = [], []
         for k in range(len(y)):
@@ -254,9 +274,9 @@ class _Motion:
                     step = self.stepper.sensitivity(state, w[k])
                 except RuntimeError:
                     return None
-                of_parameters = step.d_state[:n, n + parameters] + step.d_input[:n, parameters]
                 slope = step.d_state[:n, :n] @ slope
-                slope[:, n:] += of_parameters
+                slope[:, n : servo.start] += step.d_state[:n, n + constant] + step.d_input[:n, constant]
+                slope[:, servo] += step.d_state[:n, n + moves] @ of_servo[k - 1] + step.d_input[:n, moves] @ of_servo[k]
                 state = step.x
             entries, jacobian = (np.asarray(v) for v in self.seen.function(state[:n]))
             misses.append((entries.ravel() - y[k]) / self.errors)
