@@ -19,6 +19,21 @@ def not_episodes(value: Any, name: str, expected: str = "Episodes") -> str:
     return f"{name} is a {type(value).__name__}; expected {expected}{hint}"
 
 
+def together(value: Any, name: str) -> Episodes:
+    """Episodes ``value``, or one of several in a list, which are brought to the columns of the first.
+
+    Raises ValueError, in one line, for anything else; errors call it ``name``.
+    """
+    from pisplit.data.episodes import Episodes  # which knows this file
+
+    if isinstance(value, Episodes):
+        return value
+    if not isinstance(value, list | tuple) or not value or not all(isinstance(part, Episodes) for part in value):
+        raise ValueError(not_episodes(value, name))
+    half = len(value) // 2  # by halves: one after another would copy the first ones again and again
+    return value[0] if half == 0 else together(value[:half], name) + together(value[half:], name)
+
+
 def joined(first: Episodes, second: Episodes) -> dict[str, Any]:
     """Fields of the episodes of ``first`` and then of ``second``, by name.
 

@@ -14,7 +14,6 @@ from pisplit.checks import count, finite_array, non_negative, one_of, positive
 from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
-from pisplit.data.sums import not_episodes
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
@@ -110,8 +109,6 @@ class Estimator(Parameters):
         more: PhaseSamples | Pairs | None = None,
     ) -> Problem:
         """The data of a fit, checked; ``more`` are phase samples or pairs of a twin that a read-out may learn from."""
-        if not isinstance(d1, Episodes):
-            raise ValueError(not_episodes(d1, "d1"))
         if pairs is None:
             d1 = d1.arranged(*self.theta.wanted_names, owner="the dictionary")
         theta = self._dictionary(d1)

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from pisplit.checks import non_negative
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
+from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.bilinear import BilinearEDMDc
 from pisplit.estimators.edmdc import LinearEDMDc
@@ -75,7 +76,7 @@ class Chosen:
 
 def choose(
     candidates: Sequence[Any] | Mapping[str, Any],
-    d1: Episodes,
+    d1: Episodes | Sequence[Episodes],
     pairs: Pairs | None = None,
     d2: PhaseSamples | None = None,
     twin: Episodes | None = None,
@@ -105,7 +106,7 @@ def choose(
     Warns of reasons why the choice may be wrong. Raises ValueError, in one line, for nothing to choose from, what is no
     estimator, and where none can be fitted.
     """
-    named = _named(candidates)
+    named, d1 = _named(candidates), together(d1, "d1")
     limit = 1.0 + non_negative(tolerance, "tolerance")
     history = max(e.n_delays for e in named.values())
     used = d1.pairs(history) if pairs is None else d1.checked_pairs(pairs, history)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import GRIDS, Equilibria, Estimator, check_options
 from pisplit.regression import check_penalty
@@ -81,7 +82,7 @@ class DirectEDMDc(Estimator):
 
     def fit(
         self: _D,
-        d1: Episodes,
+        d1: Episodes | Sequence[Episodes],
         pairs: Pairs | None = None,
         equilibria: Equilibria | None = None,
         excitation: ArrayLike | str | None = "auto",
@@ -96,6 +97,7 @@ class DirectEDMDc(Estimator):
         "data": commands put together from the recorded ones (:func:`pisplit.estimators.commands.resampled_commands`);
         "auto": these for bilinear models, no test of linear ones; None: no test.
         """
+        d1 = together(d1, "d1")
         problem = self._problem(d1, pairs, equilibria, excitation)
         context = SplitContext(
             theta=problem.theta,

@@ -26,5 +26,11 @@ class Parameters:
             setattr(self, name, getattr(replacement, name))
         return self
 
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn (1.6 and later) asks of estimators: no classifier, no regressor, and no target."""
+        from sklearn.utils import Tags, TargetTags
+
+        return Tags(estimator_type=None, target_tags=TargetTags(required=False))
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in self.get_params().items())})"

@@ -13,6 +13,7 @@ from pisplit.checks import non_negative, one_of
 from pisplit.data.columns import column_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.phase import PhaseSamples
+from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import GRIDS, Equilibria, Estimator, check_options
 from pisplit.estimators.problem import Problem
@@ -134,7 +135,7 @@ class PIEDMDc(Estimator):
 
     def fit(
         self,
-        d1: Episodes,
+        d1: Episodes | Sequence[Episodes],
         d2: PhaseSamples,
         pairs: Pairs | None = None,
         equilibria: Equilibria | None = None,
@@ -150,6 +151,7 @@ class PIEDMDc(Estimator):
         "data": commands put together from the recorded ones (:func:`pisplit.estimators.commands.resampled_commands`);
         "auto": these for bilinear models, no test of linear ones; None: no test.
         """
+        d1 = together(d1, "d1")
         d2 = _matched(d2, d1, self.theta)
         problem = self._problem(d1, pairs, equilibria, excitation, d2)
         split = self._splitting(problem, d2)
@@ -248,8 +250,6 @@ def _matched(d2: PhaseSamples, d1: Episodes, theta: Dictionary) -> PhaseSamples:
     """
     if not isinstance(d2, PhaseSamples):
         raise ValueError(f"d2 is a {type(d2).__name__}; expected PhaseSamples of the known vector field")
-    if not isinstance(d1, Episodes):
-        return d2
     if (d2.n_states, d2.n_inputs) != (d1.n_states, d1.n_inputs):
         raise ValueError(
             f"d2 has {d2.n_states} states and {d2.n_inputs} inputs, d1 {d1.n_states} and {d1.n_inputs}; "

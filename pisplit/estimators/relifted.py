@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit import observables as ob
 from pisplit.checks import count, non_negative
 from pisplit.data.episodes import Episodes, Pairs
-from pisplit.data.sums import not_episodes
+from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import state_weights
 from pisplit.estimators.base import Estimator
@@ -145,7 +145,7 @@ class ReliftedEDMDc(Estimator):
         return 1
 
     def fit(
-        self, d1: Episodes, pairs: Pairs | None = None, excitation: ArrayLike | str | None = "auto"
+        self, d1: Episodes | Sequence[Episodes], pairs: Pairs | None = None, excitation: ArrayLike | str | None = "auto"
     ) -> ReliftedEDMDc:
         """Choose and fit on all pairs of the episodes ``d1``, or on ``pairs`` drawn from them. Returns itself.
 
@@ -155,8 +155,7 @@ class ReliftedEDMDc(Estimator):
         tried stays bounded.
         Raises ValueError for data of which no recording can be held out, and if every structure diverges on those.
         """
-        if not isinstance(d1, Episodes):
-            raise ValueError(not_episodes(d1, "d1"))
+        d1 = together(d1, "d1")
         all_of = d1.pairs(1) if pairs is None else d1.checked_pairs(pairs, 1)
         theta = state_dictionary(d1)
         if set(self.omit) - set(theta.names.quantities):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pisplit.checks import check_same_step, non_negative
 from pisplit.data.episodes import Episodes
 from pisplit.data.pairs import Pairs
-from pisplit.data.sums import not_episodes
+from pisplit.data.sums import not_episodes, together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Estimator
 from pisplit.lifted.model import LiftedModel
@@ -65,10 +67,10 @@ class StreamingEDMDc(Estimator):
         self._latest = theta, arranged, used
         return self
 
-    def fit(self, d1: Episodes, pairs: Pairs | None = None) -> StreamingEDMDc:
+    def fit(self, d1: Episodes | Sequence[Episodes], pairs: Pairs | None = None) -> StreamingEDMDc:
         """Forget everything, then :meth:`update` with the episodes ``d1``, or ``pairs`` drawn from them."""
         self._forget()
-        return self.update(d1, pairs)
+        return self.update(together(d1, "d1"), pairs)
 
     def _forget(self) -> None:
         self.regression = RecursiveRegression(self.theta.n_columns, len(self.theta.learned_columns), self.forgetting)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import check_same_step, positive
 from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Equilibria, Estimator, check_options
 from pisplit.regression.moments import Moments
@@ -79,7 +80,7 @@ class TwinEDMDc(Estimator):
 
     def fit(
         self,
-        d1: Episodes,
+        d1: Episodes | Sequence[Episodes],
         twin: Episodes,
         pairs: Pairs | None = None,
         equilibria: Equilibria | None = None,
@@ -94,11 +95,11 @@ class TwinEDMDc(Estimator):
         """
         if not isinstance(twin, Episodes):
             raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")
-        if isinstance(d1, Episodes):
-            d1 = d1 if pairs is not None else d1.arranged(*self.theta.wanted_names, owner="the dictionary")
-            check_same_step(twin.dt, d1.dt, "the twin has", "d1")
-            names = d1.state_names, d1.input_names, d1.units, d1.input_units
-            twin = twin.arranged(*names, owner="d1")
+        d1 = together(d1, "d1")
+        d1 = d1 if pairs is not None else d1.arranged(*self.theta.wanted_names, owner="the dictionary")
+        check_same_step(twin.dt, d1.dt, "the twin has", "d1")
+        names = d1.state_names, d1.input_names, d1.units, d1.input_units
+        twin = twin.arranged(*names, owner="d1")
         simulated = twin.pairs(self.theta.n_delays)
         problem = self._problem(d1, pairs, equilibria, excitation, simulated)
         fusion = Fusion(problem.theta, simulated, self.twin_alpha, self.scale, self.omit)

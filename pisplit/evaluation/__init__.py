@@ -7,6 +7,7 @@ from pisplit.evaluation.comparison import Comparison, LearningCurve, compare, le
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
 from pisplit.evaluation.predicted import PredictedError, predicted_error
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
+from pisplit.evaluation.scorer import RolloutScore
 from pisplit.evaluation.splits import EpisodeSplit
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "LearningCurve",
     "PredictedError",
     "RolloutErrors",
+    "RolloutScore",
     "compare",
     "horizon_errors",
     "learning_curve",
