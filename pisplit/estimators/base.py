@@ -153,12 +153,12 @@ class Estimator(Parameters):
     def _exciting(
         self, inputs: ArrayLike | str | None, theta: Dictionary, d1: Episodes, pairs: Pairs, simulated: Pairs | None
     ) -> Excitation | None:
-        """The excitation, from states of all data that this fit may know: ``pairs``, and all of ``d1`` in a search."""
-        inputs = excitation_inputs(inputs, theta.is_bilinear, d1, self.cv_horizon)
-        if inputs is None:
+        """The excitation, from states of ``pairs``, or of all of ``d1`` where that gives the inputs or alpha."""
+        found = excitation_inputs(inputs, theta.is_bilinear, d1, self.cv_horizon)
+        if found is None:
             return None
-        known = d1.pairs(theta.n_delays) if self.alpha == "cv" else pairs
-        return Excitation.of(inputs, [known, *([simulated] if simulated is not None else [])], theta.names.quantities)
+        known = d1.pairs(theta.n_delays) if self.alpha == "cv" or found is not inputs else pairs
+        return Excitation.of(found, [known, *([simulated] if simulated is not None else [])], theta.names.quantities)
 
     def _moments(self, theta: Dictionary, pairs: Pairs, rest: tuple[Array, Array] | None) -> Moments:
         if self.instruments:
