@@ -79,13 +79,16 @@ def test_what_only_one_saved_along_is_left_out_and_said() -> None:
         assert [len(a) for a in (first + first).extra["field"]] == [3, 4, 3, 4]  # type: ignore[index]
 
 
-def test_a_fit_to_a_list_says_how_it_becomes_one() -> None:
+def test_a_list_is_fitted_as_one_and_refused_with_a_word_elsewhere() -> None:
     theta = Dictionary(ob.Identity(), n_states=2, n_inputs=1)
-    for fit in (LinearEDMDc(theta).fit, StreamingEDMDc(theta).fit, lambda d: identify(d, progress=False)):
+    parts = [drawn(0), drawn(1)]
+    for estimator in (LinearEDMDc(theta), StreamingEDMDc(theta)):
+        np.testing.assert_array_equal(estimator.fit(parts).lifted.A, estimator.fit(parts[0] + parts[1]).lifted.A)
+    for refuse in (StreamingEDMDc(theta).update, lambda d: identify(d, progress=False)):
         with pytest.raises(
             ValueError, match=r"is a list; expected Episodes.*several recordings become one by d1 \+ d2"
         ):
-            fit([drawn(0), drawn(1)])  # type: ignore[arg-type]
+            refuse(parts)  # type: ignore[arg-type]
 
 
 def test_a_log_that_gaps_cut_into_many_pieces_says_so_and_names_max_gap() -> None:
