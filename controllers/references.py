@@ -7,13 +7,18 @@ one that can (no lambda).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array, finite_number, non_negative, positive, real_array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PLANES = {"xy": (0, 1), "yz": (1, 2), "xz": (0, 2), "yx": (1, 0), "zy": (2, 1), "zx": (2, 0)}
 TIME_TOLERANCE = 1e-9  # [s] k * dt may fall short of a switching time by a rounding error
@@ -58,6 +63,17 @@ class Reference:
         """
         T = positive(duration, "duration", "s")
         return replace(self, function=_Approached(self.function, T), needs_start=True)
+
+    def plot(
+        self, path: str | os.PathLike[str] | None = None, duration: float = 10.0, y0: ArrayLike | None = None
+    ) -> Figure:
+        """The coordinates over ``duration`` s; written to ``path`` where one is given.
+
+        ``y0`` (width,): where it starts, the origin if not given and nothing else is known.
+        """
+        from pisplit.controllers.reference_pictures import plot_reference
+
+        return plot_reference(self, path, duration, y0)
 
 
 @dataclass(frozen=True, eq=False)

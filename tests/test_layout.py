@@ -39,8 +39,8 @@ ROD = {
     "section": {"kinematics"},
     "terms": {"kinematics", "section"},
     "equations": {"kinematics", "section", "terms"},
-    "statics": {"equations", "terms"},
-    "dynamics": {"analysis", "equations", "kinematics", "terms"},
+    "statics": {"equations", "output", "terms"},
+    "dynamics": {"analysis", "equations", "kinematics", "output", "terms"},
     "analysis": {"kinematics", "terms"},
     "output": {"analysis", "equations", "terms"},
 }

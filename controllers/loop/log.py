@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from pisplit.checks import Array, non_negative
 from pisplit.controllers.loop.pacing import TOLERANCE
 from pisplit.data import store
+from pisplit.evaluation.matching import Fitted
+from pisplit.lifted.model import LiftedModel
+from pisplit.pictures.page import Outline, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,6 +25,13 @@ KIND = "pisplit/loop-log"
 SHOWN = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "1": ("", 1.0)}
 SOLVED = "solved"
 INTERRUPTED = "interrupted by the keyboard"
+
+
+class Drawable(Protocol):
+    """An arm that knows how it looks."""
+
+    def outline(self, fields: Array, inputs: Array) -> Outline:
+        """Backbone, tendons and tensions under measured ``fields`` (T, n) and ``inputs`` (T, m)."""
 
 
 def shown_unit(unit: str) -> tuple[str, float]:
@@ -46,6 +56,8 @@ class LoopLog:
     ``limit_violations``: applied inputs outside box or rate limits by more than 1e-9.
     ``message``: why the run ended early, empty otherwise; the arrays hold what was run. ``notes``: what else is to be
     known, e.g. a reference far outside the training data.
+    For the page alone, not in files: ``outline`` of the arm, and ``ghost`` (N+1, n), the states that a model predicted
+    ``ahead`` steps before, NaN in the first rows; see ``drawn`` and ``beside``.
     """
 
     dt: float
@@ -73,6 +85,9 @@ class LoopLog:
     limit_violations: int
     message: str = ""
     notes: tuple[str, ...] = ()
+    outline: Outline | None = field(default=None, repr=False)
+    ghost: Array | None = field(default=None, repr=False)
+    ahead: int = 0
 
     @property
     def y(self) -> Array:
@@ -187,16 +202,25 @@ class LoopLog:
 
         return plot_log(self, path)
 
+    def drawn(self, arm: Drawable) -> LoopLog:
+        """The same log with the outline of the ``arm``: its page shows the tendons, coloured by tension.
+
+        Raises ValueError where the states are not the fields that the arm knows.
+        """
+        return replace(self, outline=arm.outline(self.x, np.vstack([self.u0, self.u])))
+
+    def beside(self, model: LiftedModel | Fitted, ahead: int = 20) -> LoopLog:
+        """The same log with a ghost: what the ``model`` predicted ``ahead`` steps before, under the applied inputs.
+
+        The distance of arm and ghost is the error of the prediction. Raises ValueError for a model of other states.
+        """
+        from pisplit.controllers.loop.ghost import ghost_of
+
+        return replace(self, ghost=ghost_of(self, model, ahead), ahead=ahead)
+
     def show(self) -> str:
         """Open the page of the run (``save("run.html")``) in the web browser; its path."""
-        import tempfile
-        import webbrowser
-        from pathlib import Path
-
-        path = Path(tempfile.mkdtemp(prefix="pisplit-")) / "run.html"
-        self.save(path)
-        webbrowser.open(path.as_uri())
-        return str(path)
+        return shown(self.save)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the log to the HDF5 file ``path``, whole or not at all; as a page to look at where it ends in .html."""
@@ -206,7 +230,7 @@ class LoopLog:
             write_page(self, path)
             return
         with store.writing(path, KIND) as file:
-            for item in fields(LoopLog):
+            for item in _kept():
                 value = getattr(self, item.name)
                 if item.name in _TEXTS:
                     store.write_strings(file, item.name, value)
@@ -227,7 +251,7 @@ class LoopLog:
             return read_stream(path)
         with store.reading(path, KIND) as file:
             parts: dict[str, object] = {}
-            for item in fields(LoopLog):
+            for item in _kept():
                 if item.name == "actions" and item.name not in file:
                     parts[item.name] = ("",) * len(file["u"])
                 elif item.name in _TEXTS:
@@ -252,6 +276,8 @@ class LoopLog:
         return np.asarray(np.sqrt((np.where(np.isnan(wanted), 0.0, y - wanted) ** 2).sum(axis=1)))
 
 
+#: What is made for the page alone.
+_PAGE = ("outline", "ghost", "ahead")
 _COUNTS = ("missing", "rejected", "stuck")
 _TEXTS = ("state_names", "input_names", "state_units", "input_units", "statuses", "actions", "notes")
 
@@ -260,6 +286,11 @@ def _told(actions: Sequence[str]) -> str:
     """What stood in for solutions, and how often, in brackets."""
     found = Counter(action for action in actions if action)
     return f" ({', '.join(f'{n} x {action}' for action, n in found.items())})" if found else ""
+
+
+def _kept() -> list[Field[Any]]:
+    """Fields that a file holds."""
+    return [item for item in fields(LoopLog) if item.name not in _PAGE]
 
 
 def _rms(error: Array) -> float:

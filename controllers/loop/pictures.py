@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pisplit.checks import Array
 from pisplit.controllers.loop.log import LoopLog, shown_unit
-from pisplit.files import replacing
+from pisplit.pictures.figures import LINES, MEASURED, WANTED, below, keep, labelled, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MEASURED, WANTED = "#1b6ca8", "#2b2b2b"
-#: Most outputs and inputs that are told apart by colour in one panel.
-LINES = 6
 #: Smallest distance that a logarithmic axis shows, in parts of the largest.
 FLOOR = 1e-5
 
@@ -36,13 +32,12 @@ def plot_log(log: LoopLog, path: str | os.PathLike[str] | None) -> Figure:
     unit, factor = shown_unit(log.input_units[0])
     for k, name in enumerate(log.input_names[:LINES]):
         inputs.step(log.t, factor * np.append(log.u0[k], log.u[:, k]), lw=1.1, label=name)
-    inputs.set(xlabel="time (s)", ylabel=_labelled("input", unit), title="inputs")
+    inputs.set(xlabel="time (s)", ylabel=labelled("input", unit), title="inputs")
     for axis in (path_axis, inputs):
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=3, frameon=False)
+        below(axis)
     if log.stopped:
         figure.suptitle(f"stopped: {log.message}", color="#b91c1c", fontsize=9, wrap=True)
-    keep(figure, path)
-    return figure
+    return keep(figure, path)
 
 
 def _outputs(axis: Any, log: LoopLog) -> None:
@@ -54,13 +49,13 @@ def _outputs(axis: Any, log: LoopLog) -> None:
         axis.plot(y[:, i], y[:, j], color=MEASURED, lw=1.4, label="measured")
         axis.plot(wanted[:, i], wanted[:, j], color=WANTED, lw=1.0, ls="--", label="reference")
         axis.plot(*y[0, [i, j]], "o", color=MEASURED, ms=4, label="start")
-        axis.set(xlabel=_labelled(log.output_names[i], unit), ylabel=_labelled(log.output_names[j], unit))
+        axis.set(xlabel=labelled(log.output_names[i], unit), ylabel=labelled(log.output_names[j], unit))
         axis.set_aspect("equal", adjustable="datalim")
     else:
         for k in asked[:LINES]:
             (line,) = axis.plot(log.t, y[:, k], lw=1.4, label=log.output_names[k])
             axis.plot(log.t, wanted[:, k], color=line.get_color(), lw=1.0, ls="--")
-        axis.set(xlabel="time (s)", ylabel=_labelled("output", unit))
+        axis.set(xlabel="time (s)", ylabel=labelled("output", unit))
     axis.set_title("outputs, reference dashed")
 
 
@@ -71,27 +66,5 @@ def _distance(axis: Any, log: LoopLog) -> None:
         of = [i for i, u in enumerate(log.output_units) if u == unit]
         missed: Array = factor * np.sqrt(np.nansum((log.y - log.reference)[:, of] ** 2, axis=1))
         axis.semilogy(log.t, np.maximum(missed, FLOOR * (missed.max() or 1.0)), color=MEASURED, lw=1.2)
-        axis.set_ylabel(_labelled("distance from the reference", label))
+        axis.set_ylabel(labelled("distance from the reference", label))
     axis.set(xlabel="time (s)", title="error")
-
-
-def _labelled(name: str, unit: str) -> str:
-    return f"{name} ({unit})" if unit else name
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of ``width`` and ``height`` in inches, without the state of pyplot."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def keep(figure: Figure, path: str | os.PathLike[str] | None) -> None:
-    """Write ``figure`` to ``path``, whole or not at all; nothing where it is None."""
-    if path is not None:
-        place = Path(path)
-        with replacing(place) as part:
-            figure.savefig(part, dpi=130, format=place.suffix.lstrip(".") or "png")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from pisplit import Episodes
     from pisplit.models.arm.resting import RestShapes
+    from pisplit.pictures import Outline
 
 
 @dataclass(frozen=True)
@@ -185,9 +186,23 @@ class Arm:
         ``u`` is that of the arm at rest if not given; of several the last is drawn, the others as ghosts. ``title``
         stands over the picture. Raises ValueError where it does not rest.
         """
-        from pisplit.models.arm.resting import plot_at_rest
+        from pisplit.models.arm.pictures import plot_at_rest
 
         return plot_at_rest(self, u, title)
+
+    def outline(self, fields: ArrayLike, inputs: ArrayLike) -> Outline:
+        """How the arm looks in every of T moments, for :meth:`pisplit.controllers.LoopLog.drawn`.
+
+        Args:
+            fields: (T, 24 S) measured fields at equally spaced stations, NaN where nothing was measured.
+            inputs: (T, m) displacements in m then.
+
+        Raises ValueError for other fields, and for arms whose fields do not tell their strains (free shear or stretch,
+        fewer stations than nodes).
+        """
+        from pisplit.models.rod.output.outline import outline_of_fields
+
+        return outline_of_fields(self.scene, fields, inputs)
 
     def check_one_section(self, what: str) -> None:
         """Raise ValueError where ``what`` is for arms of one section and this one has several."""

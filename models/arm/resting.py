@@ -6,10 +6,9 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pisplit import Episodes
@@ -17,8 +16,6 @@ from pisplit.checks import Array, count, finite_array, non_negative, positive
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.recording import make_episodes, random_targets
 from pisplit.models.rod.analysis.fields import N_FIELDS
-from pisplit.models.rod.output.pictures import plot_arm
-from pisplit.models.rod.terms.gravity import Gravity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,6 +58,12 @@ class RestShapes:
     def stations(self) -> int:
         """Number S of points along the arm."""
         return self.fields.shape[1] // N_FIELDS
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The measured stations in 3-D, one line a shape; written to ``path`` where one is given."""
+        from pisplit.models.arm.pictures import plot_shapes
+
+        return plot_shapes(self, path)
 
 
 def recorded(
@@ -127,22 +130,3 @@ def turned(frames: Array, angle: float, rng: np.random.Generator) -> Array:
     """
     turns = Rotation.from_rotvec(angle * rng.standard_normal((frames[..., 0].size, 3))).as_matrix()
     return np.asarray((frames.reshape(-1, 3, 3) @ turns).reshape(frames.shape))
-
-
-def plot_at_rest(arm: Arm, u: ArrayLike | None, title: str) -> Figure:
-    """Picture of an ``arm`` at rest under ``u`` (m,) or (N, m) in m with a ``title``, down where gravity pulls."""
-    inputs = np.atleast_2d(arm.rest_inputs if u is None else np.asarray(u, dtype=float))
-    found = arm.scene.statics().solve_many(inputs)
-    if not found.success.all():
-        bad = int(np.argmin(found.success))
-        raise ValueError(f"the arm has no equilibrium under u = {inputs[bad].tolist()}")
-    figure = plot_arm(arm.scene, found.states, title)
-    pull = [t.acceleration for t in arm.scene.terms if isinstance(t, Gravity)]
-    down = np.sum([np.asarray(g, dtype=float) for g in pull], axis=0) if pull else np.zeros(3)
-    if np.abs(down).max() > 0.0:
-        axis = int(np.abs(down).argmax())
-        drawn: Any = figure.axes[0]
-        drawn.view_init(elev=18, azim=-60, vertical_axis="xyz"[axis])
-        if down[axis] > 0.0:
-            getattr(drawn, f"invert_{'xyz'[axis]}axis")()
-    return figure

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,9 @@ from scipy.optimize import least_squares
 
 from pisplit.checks import Array, count, finite_array, positive, real_array
 from pisplit.models.arm.tendon_arm import TendonArm
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Part of the table that its edges are taken at.
 INSIDE = 1.0 - 1e-9
@@ -163,6 +167,12 @@ class EquilibriumTable:
     def _derivatives(self) -> tuple[ca.Function, ca.Function]:
         u = ca.MX.sym("u", self.arm.scene.n_inputs)
         return self.function, ca.Function("slope", [u], [ca.jacobian(self.function(u), u)])
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Where the tip gets, and how far by input; written to ``path`` where one is given."""
+        from pisplit.models.arm.pictures import plot_table
+
+        return plot_table(self, path)
 
 
 def equilibrium_table(arm: TendonArm, half_width: float, stations: int = 6, points: int = 33) -> EquilibriumTable:

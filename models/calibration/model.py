@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +15,9 @@ from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.parameters import REFERENCE_MASS, REFERENCE_SPEED, TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons
 from pisplit.models.rod import Displacement, KelvinVoigt, PointMass, Scene, Tendons
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: What can be identified: parallel tendons; factors of the backbone's stiffness and damping; the routing, by how much
 #: every tendon's point at the tip differs from that at the base; a mass at the tip; friction of the tendons.
@@ -75,6 +80,12 @@ class Calibration:
         changed = replace(term, values=tuple(parameters.vector(term.radius).tolist()))
         scene = self.arm.passive + changed
         return replace(self, arm=replace(self.arm, scene=scene), parameters=parameters)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Where the tendons run, their stiffness and slack; written to ``path`` where one is given."""
+        from pisplit.models.calibration.pictures import plot_calibration
+
+        return plot_calibration(self, path)
 
 
 def nominal_parameters(arm: TendonArm) -> TendonParameters:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +15,9 @@ from pisplit.data.actuator import Actuator
 from pisplit.data.episodes import Episodes
 from pisplit.estimators.relifted import ReliftedRegression, Structure, state_dictionary
 from pisplit.estimators.relifted_coordinates import Coordinates
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -46,6 +51,12 @@ class FoundActuator:
         return (
             f"lag {a.lag:.3g} s, play {a.play:.3g}: one-step residual {self.residual:.3g} ({self.without:.3g} without)"
         )
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Residuals over the lags and plays that were tried; written to ``path`` where one is given."""
+        from pisplit.estimators.pictures import plot_actuator
+
+        return plot_actuator(self, path)
 
 
 def find_actuator(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import inspect
+import os
 import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,9 @@ from pisplit.estimators.edmdc import LinearEDMDc
 from pisplit.estimators.fold_errors import FoldErrors, reasons
 from pisplit.evaluation.comparison import MORE
 from pisplit.evaluation.matching import States
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,12 @@ class Chosen:
             mark = " (chosen)" if c.name == self.name else ""
             lines.append(f"{c.name:<{width}} {c.error:>9.2e} {c.fits:>6} {c.seconds:>7.2g}  {note}{mark}")
         return "\n".join([*lines, *self.reasons])
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Errors of the candidates, those that were refused left out; written to ``path`` where one is given."""
+        from pisplit.estimators.pictures import plot_chosen
+
+        return plot_chosen(self, path)
 
 
 def choose(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
 from pisplit.evaluation.matching import States, model_of
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
 from pisplit.lifted.model import LiftedModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -81,6 +85,12 @@ class Comparison:
                 line += "".join(f"{value:>12.3g}" for value in self.horizons[name].normalised)
             lines.append(line)
         return "\n".join(lines)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Median and quartiles by model, and errors by horizon if there are; written to ``path`` where one is given."""
+        from pisplit.evaluation.pictures import plot_comparison
+
+        return plot_comparison(self, path)
 
 
 def compare(
@@ -151,6 +161,12 @@ class LearningCurve:
             if said:
                 lines.append(f"{name}: {len(said)} of {self.errors[name].size} fits refused: {said[0]}")
         return "\n".join(lines)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Median and quartiles over the number of pairs; written to ``path`` where one is given."""
+        from pisplit.evaluation.pictures import plot_learning
+
+        return plot_learning(self, path)
 
 
 def learning_curve(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -50,6 +55,12 @@ class HorizonErrors:
             size = f"{rms[worst]:.3g} {self.units[worst]}".strip()
             lines.append(f"{h:>6} {error:>11.3g} {100.0 * fraction:>7.1f} %  {self.names[worst]}: {size}")
         return "\n".join(lines)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Errors by horizon, of all states and of the six worst; written to ``path`` where one is given."""
+        from pisplit.evaluation.pictures import plot_horizons
+
+        return plot_horizons(self, path)
 
 
 def horizon_errors(

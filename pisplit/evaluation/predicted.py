@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +14,9 @@ from pisplit.data.episodes import Episodes, Pairs
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.rollouts import squared_unit
 from pisplit.lifted.model import LiftedModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -49,6 +54,12 @@ class PredictedError:
         unit = f" {self.unit}" if self.unit else ""
         ahead = ", ".join(f"{self.by_horizon[h - 1]:.3g}{unit} after {h * self.dt:.3g} s" for h in steps)
         return f"predicted squared error {self.median:.3g}{unit} ({ahead})"
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Median and quartiles over the time ahead; written to ``path`` where one is given."""
+        from pisplit.evaluation.pictures import plot_predicted
+
+        return plot_predicted(self, path)
 
 
 def predicted_error(

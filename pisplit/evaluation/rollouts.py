@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -72,6 +77,12 @@ class RolloutErrors:
             f"over {len(self.squared)} episodes, "
             f"{100 * self.diverged_fraction:.0f} % diverged"
         )
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Squared errors over the steps of the roll-outs with their median; written to ``path`` where one is given."""
+        from pisplit.evaluation.pictures import plot_rollouts
+
+        return plot_rollouts(self, path)
 
 
 def rollout_errors(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +18,8 @@ from pisplit.controllers.plants import ModelPlant
 from pisplit.models.arm import Arm
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.front.identification import Identified
 
 #: Weights of the input rate, the cautious one first: one that is worse already is not tried any further.
@@ -100,20 +104,32 @@ class Control:
     ) -> LoopLog:
         """Close the loop on a ``plant`` for so many ``steps`` along the ``reference``; the log of the run.
 
+        The page of the log shows tendons of an arm coloured by tension, and as a ghost what the model predicted a
+        horizon before.
         ``plant``: an arm, which is simulated, or any :class:`pisplit.controllers.Plant`. ``u0``: inputs (m,) at the
         start; those at rest if not given. ``progress``: whether to show a bar.
         """
-        if isinstance(plant, Arm):
-            plant = plant.scene.fast_stepper(dt=self.controller.model.dt, stations=self.stations)
+        arm = plant if isinstance(plant, Arm) else None
+        if arm is not None:
+            plant = arm.scene.fast_stepper(dt=self.controller.model.dt, stations=self.stations)
         start = np.clip(self.rest, self.controller.u_min, self.controller.u_max) if u0 is None else u0
         loop = ClosedLoop(plant=plant, controller=self.controller)
-        return loop.run(_named(reference, self.controller), steps, u0=start, progress=progress)
+        log = loop.run(_named(reference, self.controller), steps, u0=start, progress=progress)
+        with suppress(ValueError):  # the states are not all fields of a rod: the page shows what there is
+            log = log if arm is None else log.drawn(arm)
+        return log.beside(self.controller.model, self.controller.horizon) if len(log.u) else log
 
     def __str__(self) -> str:
         lines = [*self.notes, *(f"  rate weight {w:g}: error {e:.3g} of the range" for w, e in self.trials)]
         return "\n".join(lines)
 
     __repr__ = __str__
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Errors of the trials by rate weight; written to ``path`` where one is given. ValueError without trials."""
+        from pisplit.front.pictures import plot_control
+
+        return plot_control(self, path)
 
 
 def _named(reference: references.Reference, controller: MPC) -> references.Reference:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pisplit.controllers.loop.pictures import keep, new_figure
 from pisplit.front.identification import Identified
+from pisplit.pictures.figures import MEASURED, keep, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from pisplit.front.control import Control
 
 
 def plot_identified(found: Identified, path: str | os.PathLike[str] | None) -> Figure:
@@ -42,5 +44,23 @@ def plot_identified(found: Identified, path: str | os.PathLike[str] | None) -> F
         xlabel="time (s)", ylabel=f"state ({unit})" if unit else "state", title="a held-out recording, predicted dashed"
     )
     one.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, frameon=False)
-    keep(figure, path)
-    return figure
+    return keep(figure, path)
+
+
+def plot_control(found: Control, path: str | os.PathLike[str] | None) -> Figure:
+    """Errors of the trials of ``found`` by rate weight; those that were lost at the top. ValueError without trials.
+
+    Written to ``path`` where one is given.
+    """
+    if not found.trials:
+        raise ValueError("the rate weight was given: there were no trials to draw")
+    weights, errors = np.array(sorted(found.trials)).T
+    known = np.isfinite(errors)
+    figure = new_figure(6.0, 4.0)
+    axis = figure.subplots()
+    axis.loglog(weights[known], errors[known], "o-", color=MEASURED)
+    axis.plot(weights[~known], np.full((~known).sum(), 0.97), "rx", transform=axis.get_xaxis_transform())
+    axis.plot(*found.trials[0], "o", ms=13, mfc="none", mec="#b91c1c", mew=1.6)
+    axis.set(xlabel="rate weight", ylabel="error of the worst loop (range of outputs)", title="trials on the models")
+    tidy(axis)
+    return keep(figure, path)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg
@@ -26,6 +28,9 @@ from pisplit.generator.generator import (
 )
 from pisplit.generator.spectrum import Spectrum, spectral_radius, spectrum_on
 from pisplit.regression.moments import Moments
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -67,6 +72,12 @@ class HalfStep:
     spectrum: Spectrum | None = None
     errors: Mapping[str, float] = field(default_factory=dict)
     drift: float | None = None
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Eigenvalues of K_f beside those of its generator; written to ``path`` where one is given."""
+        from pisplit.generator.pictures import plot_half_step
+
+        return plot_half_step(self, path)
 
 
 def half_step(

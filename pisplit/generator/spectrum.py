@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,9 @@ from pisplit.generator.generator import (
 )
 from pisplit.regression.moments import Moments
 from pisplit.regression.scaling import column_scales
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -62,6 +67,12 @@ class Spectrum:
             f"{_text(self.values[i])} 1/s with residual {self.residuals[i]:.2g}, mostly {self.columns[i]}"
             for i in order
         )
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Eigenvalues coloured by residual; written to ``path`` where one is given."""
+        from pisplit.generator.pictures import plot_spectrum
+
+        return plot_spectrum(self, path)
 
 
 def generator_spectrum(

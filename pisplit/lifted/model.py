@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,9 @@ from pisplit.lifted.propagation import propagate, propagate_bilinear, propagate_
 from pisplit.lifted.relifting import ReliftedTerm
 from pisplit.mapping import Mapped
 from pisplit.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -44,6 +47,12 @@ class Rollout:
     z: Array
     diverged: bool | NDArray[np.bool_]
     diverged_at: int | NDArray[np.int64] | None
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The six states that move most over the steps; written to ``path`` where one is given."""
+        from pisplit.lifted.pictures import plot_rollout
+
+        return plot_rollout(self, path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,6 +415,12 @@ class LiftedModel:
         for episode in np.flatnonzero(at >= 0):
             x[episode, at[episode] :] = x[episode, max(at[episode] - 1, 0)]
         return Rollout(x=x, z=z, diverged=at >= 0, diverged_at=at.astype(np.int64))
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Eigenvalues of A and step responses per unit of input; written to ``path`` where one is given."""
+        from pisplit.lifted.pictures import plot_model
+
+        return plot_model(self, path)
 
 
 _ARRAYS = ("A", "B", "c", "C", "d", "input_offset", "input_basis", "state_range")

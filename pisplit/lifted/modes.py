@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.lifted.model import LiftedModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -40,6 +45,12 @@ class Modes:
     def radius(self) -> float:
         """Largest magnitude of an eigenvalue: above 1 the model is unstable."""
         return float(np.abs(self.eigenvalues).max())
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Eigenvalues in the unit circle, frequencies and time constants; written to ``path`` where one is given."""
+        from pisplit.lifted.pictures import plot_modes
+
+        return plot_modes(self, path)
 
 
 def modes(model: LiftedModel) -> Modes:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -12,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit.checks import count, finite_array
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.modes import refuse_bilinear
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -36,6 +41,12 @@ class Reduction:
     singular_values: Array
     bound: float
     kept: int
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Hankel singular values, kept and left out; written to ``path`` where one is given."""
+        from pisplit.lifted.pictures import plot_reduction
+
+        return plot_reduction(self, path)
 
 
 def balanced_truncation(model: LiftedModel, r: int, starts: ArrayLike | None = None) -> Reduction:

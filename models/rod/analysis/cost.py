@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING
 from pisplit.models.rod.terms.loads import NoEffect
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.terms.loads import Term
 
@@ -63,6 +66,12 @@ class Cost:
             counts = f"{i.residual:>10}{i.jacobian:>10}  {i.static_residual:>10}{i.static_jacobian:>10}"
             lines.append(f"{name:<{width}}  {counts}")
         return "\n".join(lines)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Instructions in motion by term; written to ``path`` where one is given."""
+        from pisplit.models.rod.analysis.pictures import plot_cost
+
+        return plot_cost(self, path)
 
 
 def instructions(scene: Scene) -> Instructions:

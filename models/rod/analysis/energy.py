@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -21,6 +22,8 @@ from pisplit.models.rod.terms.loads import Term, by_row
 from pisplit.models.rod.terms.points import PointMass
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.scene import Scene
 
 
@@ -61,6 +64,12 @@ class EnergyAccount:
         gain = self.stored.total - self.stored.total[0]
         imbalance: Array = gain + self.dissipated - sum(self.work.values(), np.zeros_like(gain))
         return imbalance
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Stored energies, work, dissipation and what they miss; written to ``path`` where one is given."""
+        from pisplit.models.rod.analysis.pictures import plot_account
+
+        return plot_account(self, path)
 
 
 def energies(scene: Scene, x: ArrayLike) -> Energies:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,6 +16,8 @@ from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.analysis.fields import station_points
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.scene import Scene
 
 
@@ -77,6 +80,12 @@ class NaturalModes:
         points = station_points(stations, self.scene.rod.length)
         slope = _position_slope(self.scene, points, self.state)
         return (self.strains @ slope.T).reshape(len(self.strains), len(points), 3)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Shapes of the slowest modes, frequencies of all; written to ``path`` where one is given."""
+        from pisplit.models.rod.analysis.pictures import plot_modes
+
+        return plot_modes(self, path)
 
 
 def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> NaturalModes:

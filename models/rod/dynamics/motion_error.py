@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod.dynamics.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Points along the rod at which shapes are compared.
 POINTS = 20
@@ -45,6 +50,12 @@ class MotionError:
         """
         above = np.flatnonzero(self.distance > max(share * self.travel, least) + self.distance[0])
         return int(above[0] - 1) if len(above) else None
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The distance over the steps; written to ``path`` where one is given."""
+        from pisplit.models.rod.output.results import plot_motion_error
+
+        return plot_motion_error(self, path)
 
 
 def motion_error(found: Trajectory, finer: Trajectory) -> MotionError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -11,6 +12,8 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.analysis.energy import EnergyAccount
     from pisplit.models.rod.dynamics.motion_error import MotionError
     from pisplit.models.rod.scene import Scene
@@ -59,6 +62,40 @@ class Trajectory:
         if self.work is None:
             raise ValueError("the work of the terms was not integrated; call run(u, x0, energy=True)")
         return account(self.scene, self.t, self.x, self.work)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Shapes side by side, the path of the tip and the tensions over time; written to ``path`` where one is given.
+
+        Raises ValueError for a motion without a step.
+        """
+        from pisplit.models.rod.output.pictures import plot_strip
+        from pisplit.pictures import keep
+
+        self._moved()
+        return keep(plot_strip(self), path)
+
+    def save(self, path: str | os.PathLike[str], ghost: Trajectory | None = None) -> None:
+        """Write the motion as a page to look at to the HTML file ``path``: the arm in 3-D, a slider of time, curves.
+
+        ``ghost``: another motion over the same times that is drawn behind it, such as one that was predicted. Raises
+        ValueError for another suffix, a motion without a step, and a ghost of other times.
+        """
+        from pisplit.models.rod.output.outline import write_page
+
+        if not os.fspath(path).lower().endswith((".html", ".htm")):
+            raise ValueError(f"path = {os.fspath(path)!r}; expected a page, such as run.html (plot(path) draws a PNG)")
+        self._moved()
+        write_page(self, path, ghost)
+
+    def show(self, ghost: Trajectory | None = None) -> str:
+        """Open the page of the motion in the web browser, ``ghost`` as in :meth:`save`; its path."""
+        from pisplit.pictures.page import shown
+
+        return shown(lambda path: self.save(path, ghost))
+
+    def _moved(self) -> None:
+        if len(self.t) < 2:
+            raise ValueError(f"nothing moved: there is nothing to draw ({self.message})")
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,8 @@ from pisplit.models.rod.equations.held import slopes
 from pisplit.models.rod.sharing import lock_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.scene import Scene
 
 
@@ -51,6 +54,12 @@ class Linearisation:
         whole = finite_answer(expm(finite_answer(augmented, "entries of dt A")), "exponentials of dt A")
         ramp = whole[:n, n + m :]
         return DiscreteLinearisation(whole[:n, :n], whole[:n, n : n + m] - ramp, ramp, step)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Eigenvalues in the complex plane; written to ``path`` where one is given."""
+        from pisplit.models.rod.equations.pictures import plot_linearisation
+
+        return plot_linearisation(self, path)
 
 
 @dataclass(frozen=True)

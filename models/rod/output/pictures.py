@@ -19,6 +19,7 @@ from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.files import replacing
 from pisplit.models.rod.terms.routing import sample
 from pisplit.models.rod.terms.tendons import Tendons
+from pisplit.pictures.figures import new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,7 +112,7 @@ def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:
         title: over the picture.
     """
     shape = shape_of(scene, states)
-    figure = _figure(8.0, 7.0)
+    figure = new_figure(8.0, 7.0)
     axis = figure.add_subplot(projection="3d")
     for line in shape.backbone[:-1]:
         axis.plot(*line.T, color=GHOST, lw=0.9, alpha=0.55)
@@ -120,7 +121,7 @@ def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:
         axis.legend(loc="upper left", frameon=False)
     colours = _colours(shape.tensions[-1:])
     _draw_arm(axis, shape, len(shape.backbone) - 1, colours)
-    _frame_3d(axis, shape.everything())
+    frame_3d(axis, shape.everything())
     _colour_bar(figure, axis, colours)
     axis.set_title(title)
     return figure
@@ -143,7 +144,7 @@ def plot_strip(trajectory: Trajectory, moments: int = 9, title: str = "") -> Fig
     pitch = max(1.12 * float(high - low), STRIP_WIDTH * float(np.ptp(drawn[:, 2])) / len(chosen))
     colours = _colours(tensions(scene, trajectory.x))
     rows = 3 if shape.tendons else 2
-    figure = _figure(11.0, 2.9 + 2.0 * (rows - 1))
+    figure = new_figure(11.0, 2.9 + 2.0 * (rows - 1))
     axes = figure.subplots(rows, 1, height_ratios=[1.6, *[1.0] * (rows - 1)])
     strip = axes[0]
     for k in range(len(chosen)):
@@ -159,14 +160,14 @@ def plot_strip(trajectory: Trajectory, moments: int = 9, title: str = "") -> Fig
     for name, values in zip("xyz", tip.T, strict=True):
         axes[1].plot(trajectory.t, values - values[0], label=name, lw=1.3)
     axes[1].set_ylabel("tip motion (mm)")
-    axes[1].legend(ncols=3, frameon=False)
+    axes[1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     if shape.tendons:
         for i, values in enumerate(tensions(scene, trajectory.x).T):
             axes[2].plot(trajectory.t, values, label=f"tendon {i + 1}", lw=1.3)
         axes[2].set_ylabel("tension (N)")
-        axes[2].legend(ncols=4, frameon=False)
+        axes[2].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes[-1].set_xlabel("time (s)")
-    _tidy(*axes)
+    tidy(*axes)
     return figure
 
 
@@ -184,7 +185,7 @@ def plot_energy(t: ArrayLike, energies: Mapping[str, ArrayLike], title: str = ""
     if not energies:
         raise ValueError("energies is empty; give at least one, such as {'kinetic': T}")
     values = {name: finite_array(e, f"energy {name!r}", (len(times),)) for name, e in energies.items()}
-    figure = _figure(9.0, 6.0)
+    figure = new_figure(9.0, 6.0)
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
     for name, e in values.items():
         top.plot(times, e, lw=1.4, label=name)
@@ -194,7 +195,7 @@ def plot_energy(t: ArrayLike, energies: Mapping[str, ArrayLike], title: str = ""
     top.legend(ncols=min(4, len(values) + 1), frameon=False)
     below.plot(times, total - total[0], color="k", lw=1.2)
     below.set(ylabel="change of the sum (J)", xlabel="time (s)")
-    _tidy(top, below)
+    tidy(top, below)
     return figure
 
 
@@ -219,7 +220,7 @@ def animate_arm(trajectory: Trajectory, path: str | Path, fps: int = 20, title: 
     shape = shape_of(trajectory.scene, trajectory.x[frames])
     tip = 1e3 * trajectory.fields(1)[:, 0, :3]
     colours = _colours(shape.tensions)
-    figure = _figure(6.4, 5.8)
+    figure = new_figure(6.4, 5.8)
     axis = figure.add_subplot(projection="3d")
     _colour_bar(figure, axis, colours)
 
@@ -227,7 +228,7 @@ def animate_arm(trajectory: Trajectory, path: str | Path, fps: int = 20, title: 
         axis.clear()
         axis.plot(*tip[: frames[k] + 1].T, color=PATH, lw=0.9, alpha=0.8)
         _draw_arm(axis, shape, k, colours)
-        _frame_3d(axis, shape.everything())
+        frame_3d(axis, shape.everything())
         axis.set_title(f"{title}{', ' if title else ''}t = {trajectory.t[frames[k]]:.2f} s")
 
     film = FuncAnimation(figure, show, frames=len(frames), init_func=lambda: None)
@@ -238,17 +239,6 @@ def animate_arm(trajectory: Trajectory, path: str | Path, fps: int = 20, title: 
 
 
 # Parts of pictures --------------------------------------------------------------------------------------------------
-
-
-def _figure(width: float, height: float) -> Figure:
-    """A figure of its own, outside pyplot: no window, nothing to close."""
-    import mpl_toolkits.mplot3d  # noqa: F401  (makes the 3-D projection known)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained", dpi=130)
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _colours(values: Array) -> Any:
@@ -278,8 +268,8 @@ def _draw_arm(axis: Any, shape: Shape, k: int, colours: Any) -> None:
         axis.plot(*line[k].T, color=colours.to_rgba(shape.tensions[k, i]), lw=1.7)
 
 
-def _frame_3d(axis: Any, points: Array) -> None:
-    """Equal scales in all directions, as tight as the points allow."""
+def frame_3d(axis: Any, points: Array) -> None:
+    """Equal scales in all directions of a 3-D ``axis``, as tight as the ``points`` (n, 3) in mm allow."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = points.min(axis=0), points.max(axis=0)
@@ -290,9 +280,3 @@ def _frame_3d(axis: Any, points: Array) -> None:
         getattr(axis, f"{name}axis").set_major_locator(MaxNLocator(max(2, round(6 * width / side.max()))))
     axis.set_box_aspect(side, zoom=0.8)
     axis.view_init(elev=20, azim=-62)
-
-
-def _tidy(*axes: Any) -> None:
-    for axis in axes:
-        axis.grid(alpha=0.25)
-        axis.spines[["top", "right"]].set_visible(False)

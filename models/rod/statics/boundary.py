@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,6 +27,8 @@ from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.statics.search import Search
     from pisplit.models.rod.statics.whitened import Whitened
@@ -68,6 +71,12 @@ class FixedTipEquilibrium:
     branch: str = "unverified"
     load_factor: float = 1.0
     scene: Scene = field(repr=False, compare=False, kw_only=True)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The shape and the force at its tip; written to ``path`` where one is given."""
+        from pisplit.models.rod.output.results import plot_fixed_tip
+
+        return plot_fixed_tip(self, path)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ import numpy as np
 from pisplit.checks import Array
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.scene import Scene
 
 
@@ -77,6 +80,12 @@ class Equilibrium:
         """Position of the tip (3,) in m."""
         return self.pose(self.scene.rod.length)[0]
 
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The shape with its tendons coloured by tension; written to ``path`` where one is given."""
+        from pisplit.models.rod.output.results import plot_equilibrium
+
+        return plot_equilibrium(self, path)
+
 
 @dataclass(frozen=True)
 class EquilibriumBatch:
@@ -89,6 +98,7 @@ class EquilibriumBatch:
         tensions: (N, tendons) in N.
         branch: (N,) as in ``Equilibrium``.
         load_factor: (N,) as in ``Equilibrium``.
+        scene: the scene in equilibrium.
     """
 
     states: Array
@@ -97,3 +107,10 @@ class EquilibriumBatch:
     tensions: Array
     branch: np.ndarray
     load_factor: Array
+    scene: Scene = field(repr=False, compare=False, kw_only=True)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The last shape, others as ghosts; written to ``path`` where one is given. ValueError where none succeeded."""
+        from pisplit.models.rod.output.results import plot_batch
+
+        return plot_batch(self, path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,8 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array, positive, real_array
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.rod.statics.equilibrium import Equilibrium
     from pisplit.models.rod.statics.statics import Statics
 
@@ -37,6 +40,10 @@ class InverseSolution:
     success: bool
     message: str
     iterations: int
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The shape under ``u``; written to ``path`` where one is given."""
+        return self.equilibrium.plot(path)
 
 
 def inverse(

@@ -157,6 +157,7 @@ class Statics(Rebuilt):
             np.array([f.tensions for f in found]).reshape(len(rows), -1),
             np.array([f.branch for f in found], dtype=str),
             np.array([f.load_factor for f in found]),
+            scene=self.scene,
         )
 
     def _verdict(self, x: Array, u: Array, converged: bool, start: Array | None, guess: ArrayLike | None) -> Verdict:
@@ -221,7 +222,8 @@ class Statics(Rebuilt):
         states = np.hstack([strains, np.zeros_like(found), rows])
         branch[worst > TOLERANCE] = "unverified"
         self._check(states, branch != "unverified")
-        return EquilibriumBatch(states, branch != "unverified", worst, tensions, branch.astype(str), factor)
+        good, told = branch != "unverified", branch.astype(str)
+        return EquilibriumBatch(states, good, worst, tensions, told, factor, scene=self.scene)
 
     @in_turn()
     def sweep(self, inputs: ArrayLike) -> EquilibriumBatch:
@@ -256,7 +258,8 @@ class Statics(Rebuilt):
             tensions.append(self._read(found[k], u)[0])
         states = np.hstack([search.strains(found), np.zeros_like(found), rows])
         self._check(states, branch != "unverified")
-        return EquilibriumBatch(states, branch != "unverified", worst, np.array(tensions), branch.astype(str), factor)
+        good, told = branch != "unverified", branch.astype(str)
+        return EquilibriumBatch(states, good, worst, np.array(tensions), told, factor, scene=self.scene)
 
     # What an equilibrium depends on ----------------------------------------------------------------------------------
 

@@ -1,0 +1,43 @@
+"""The picture of a calibration: its tendons."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pisplit.pictures.figures import MEASURED, keep, new_figure, tidy
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from pisplit.models.calibration.model import Calibration
+
+
+def plot_calibration(found: Calibration, path: str | os.PathLike[str] | None) -> Figure:
+    """Where the tendons of ``found`` run at the base and at the tip, and their stiffness and slack.
+
+    Written to ``path`` where one is given.
+    """
+    p = found.parameters
+    figure = new_figure(11.0, 4.4)
+    axes: Any = figure.subplots(1, 3, width_ratios=[1.3, 1.0, 1.0])
+    at, to = 1e3 * p.offset, 1e3 * (p.offset + p.shift)
+    for i, (a, b) in enumerate(zip(at, to, strict=True)):
+        axes[0].plot(*np.stack([a, b]).T, color=MEASURED, lw=1.0)
+        axes[0].annotate(f"{i + 1}", a, xytext=(6, 6), textcoords="offset points")
+    axes[0].plot(*at.T, "o", color=MEASURED, ms=7, label="at the base")
+    axes[0].plot(*to.T, "x", color="#d95f02", ms=7, label="at the tip")
+    axes[0].plot(0.0, 0.0, "k+", ms=9)
+    axes[0].set(xlabel="body axis 1 (mm)", ylabel="body axis 2 (mm)", title="section", aspect="equal")
+    axes[0].margins(0.25)
+    axes[0].legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False)
+    number = np.arange(1, p.n_tendons + 1)
+    axes[1].bar(number, p.stiffness, color=MEASURED)
+    axes[1].set(xlabel="tendon", ylabel="stiffness (N/m)", title="stiffness", xticks=number)
+    axes[2].bar(number, 1e3 * p.slack, color=MEASURED)
+    axes[2].set(xlabel="tendon", ylabel="slack (mm)", title="slack", xticks=number)
+    figure.suptitle(f"{found.samples} samples, residual {found.residual:.3g}", fontsize=10)
+    tidy(*axes)
+    return keep(figure, path)
