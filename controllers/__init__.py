@@ -12,6 +12,7 @@ from pisplit.controllers.mpc.condense import Condensed, condense
 from pisplit.controllers.mpc.mpc import MPC
 from pisplit.controllers.mpc.qp import QPSettings
 from pisplit.controllers.references import Reference
+from pisplit.controllers.tuning import Tuned, tune
 
 __all__ = [
     "MPC",
@@ -27,7 +28,9 @@ __all__ = [
     "PlantStep",
     "QPSettings",
     "Reference",
+    "Tuned",
     "condense",
     "plants",
     "references",
+    "tune",
 ]

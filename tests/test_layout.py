@@ -33,6 +33,7 @@ CONTROLLERS = {
     "feedforward": {"loop", "mpc"},
     "references": set(),
     "plants": {"loop"},
+    "tuning": {"loop", "mpc", "plants", "references"},
 }
 ROD = {
     "kinematics": set(),
