@@ -2,6 +2,7 @@
 
 from pisplit.controllers import plants, references
 from pisplit.controllers.estimation.kalman import KalmanFilter
+from pisplit.controllers.estimation.watch import InnovationWatch
 from pisplit.controllers.feedforward import FeedForward
 from pisplit.controllers.loop.following import LoopStep
 from pisplit.controllers.loop.log import LoopLog
@@ -20,6 +21,7 @@ __all__ = [
     "Condensed",
     "Controller",
     "FeedForward",
+    "InnovationWatch",
     "KalmanFilter",
     "LoopLog",
     "LoopStep",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, ReliftedEDMDc
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, PlantStep, plants, references
@@ -136,6 +136,43 @@ def test_what_is_not_in_the_filter_need_not_be_measured() -> None:
     assert np.isnan(tip_seen.x[1:, 1:]).all()
 
 
+class Bent(Arm):
+    """The same, whose stiffness changes with the input."""
+
+    def step(self, u: Array) -> PlantStep:
+        bent = 0.2 * u[0] * np.array([self.x[1], -self.x[0], 0.0])
+        super().step(u)
+        self.x = self.x + bent
+        return PlantStep(self.x)
+
+
+def test_a_bilinear_model_is_filtered_along_its_inputs() -> None:
+    plant, rng = Bent(1.0), np.random.default_rng(0)
+    u = rng.uniform(-1.0, 1.0, (2000, 1))
+    x = np.array([plant.reset(), *(plant.step(v).state for v in u)])
+    data = Episodes([x], [u], 0.1, units=Arm.state_units, outputs={"tip": (0,)})
+    theta = Dictionary(ob.Constant(), ob.Identity(), ob.Bilinear(), n_states=3, n_inputs=1)
+    model = BilinearEDMDc(theta, 1e-9).fit(data).lifted
+    found = KalmanFilter.from_data(model, data, 0.02, "tip")
+    sensor, z = plants.NoisyMeasurements(Bent(1.0), {"m": 0.02}, seed=3), model.fixed_point(np.zeros(1))
+    measured, errors = sensor.reset(), []
+    for v in rng.uniform(-1.0, 1.0, (1500, 1)):
+        z = found.corrected(z, found.innovation(z, measured))
+        errors.append(model.read(z)[0])
+        z = model.step(z, v)
+        measured = sensor.step(v).state
+    true = sensor.true_states[:1500, 0]
+    filtered = np.std((np.array(errors) - true)[50:])
+    assert filtered < 0.75 * 0.02  # of the sensor
+    errors_of = []
+    for observer in (found, None):
+        noisy = plants.NoisyMeasurements(Bent(1.0), 0.02, seed=4)
+        log = loop(noisy, observer, model, gain=0.1 if observer else 0.3)
+        assert not log.stopped and log.limit_violations == 0
+        errors_of.append(true_error(noisy))
+    assert errors_of[0] < 0.8 * errors_of[1]
+
+
 def test_an_outlier_is_as_good_as_a_gap_until_it_is_no_outlier() -> None:
     model = fitted()
     observer = KalmanFilter(model, np.diag(PROCESS**2), 0.02, "tip")
@@ -166,10 +203,11 @@ def test_a_copy_goes_on_to_the_last_bit() -> None:
 
 def test_filters_that_cannot_be_are_refused_in_one_line() -> None:
     model, Q = fitted(), np.diag(PROCESS**2)
-    theta = Dictionary(ob.Constant(), ob.Identity(), ob.Bilinear(), n_states=3, n_inputs=1)
-    bilinear = BilinearEDMDc(theta, 1e-6).fit(recorded(0.0, 200)).lifted
+    runs = [recorded(0.0, 40 + k) for k in range(4)]
+    data = Episodes([r.xs[0] for r in runs], [r.us[0] for r in runs], 0.1)
+    relifted = ReliftedEDMDc(components=(3,), leading=(2,), degrees=(2,)).fit(data).lifted
     for make, message in (
-        (lambda: KalmanFilter(bilinear, np.eye(4), 0.1), "bilinear"),
+        (lambda: KalmanFilter(relifted, np.eye(relifted.n_lifted), 0.1), "this one is re-lifted"),
         (lambda: KalmanFilter(model, np.eye(4), 0.1), "process has shape"),
         (lambda: KalmanFilter(model, Q, {"mm": 0.1}), "no state of the model has the unit 'mm'"),
         (lambda: KalmanFilter(model, Q, -0.1), "std = -0.1"),

@@ -28,7 +28,7 @@ PISPLIT = {
 }
 CONTROLLERS = {
     "loop": {"references"},
-    "estimation": set(),
+    "estimation": {"loop"},
     "mpc": {"estimation", "loop"},
     "feedforward": {"loop", "mpc"},
     "references": set(),

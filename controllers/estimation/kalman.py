@@ -19,14 +19,16 @@ EXACT = 1e-6
 
 
 class KalmanFilter:
-    """Steady-state Kalman filter of z+ = A z + B phi(u) + c + process noise, y = C z + d + measurement noise.
+    """Steady-state Kalman filter of z+ = A z + B phi(u) (+ sum_i u_i N_i z) + c + process noise,
+    y = C z + d + measurement noise.
 
     Of the prediction z it makes z + L (y - C z - d), y being those states that ``measured`` names. An entry that was
     not measured, or that lies more than ``gate`` of its standard deviations away, changes nothing (its innovation is
-    set to zero), so that one gain serves all steps.
+    set to zero), so that one gain serves all steps. Predictions of a bilinear model follow its inputs; its gain is that
+    of the transition at the mean input of the training data.
 
     Args:
-        model: the model, linear in z; or an estimator that was fitted.
+        model: the model, linear in z or bilinear; or an estimator that was fitted.
         process: covariance (M, M) of what the model misses in a step of the lifted state.
         std: noise of the measured states, a number, one each (p,), or {unit: standard deviation}.
         measured: the states that are measured, an output of the model, or names or positions; all if not given.
@@ -35,7 +37,7 @@ class KalmanFilter:
     Attributes:
         measured: positions (p,) of the measured states; gain: L (M, p); innovation_std: (p,) expected of innovations.
 
-    Raises ValueError for other shapes, negative noise, and models that are bilinear in z and u.
+    Raises ValueError for other shapes, negative noise, and re-lifted models.
 
     Source: Anderson and Moore, *Optimal Filtering* (1979), chapter 4; the doubling iteration for the Riccati equation
     is in section 6.7.
@@ -50,16 +52,15 @@ class KalmanFilter:
         gate: float | None = 5.0,
     ) -> None:
         self.model = found = model_of(model, "model")
-        if found.varies:
-            kind = "bilinear" if found.relifted is None else "re-lifted"
-            raise ValueError(f"a Kalman filter with one gain is for models linear in z; this one is {kind}")
+        if found.relifted is not None:
+            raise ValueError("a filter with one gain is for models linear in z or bilinear; this one is re-lifted")
         self.measured: NDArray[np.int64] = state_indices(found, measured)
         self.gate = None if gate is None else positive(gate, "gate")
         M = found.n_lifted
         Q = finite_array(process, "process", (M, M))
         self._C, self._d = found.C[self.measured], found.d[self.measured]
         noise: Array = np.maximum(_noise(found, self.measured, std), EXACT * found.state_range[self.measured])
-        P = predicted_covariance(found.A, self._C, 0.5 * (Q + Q.T), noise**2)
+        P = predicted_covariance(found.transition(found.input_offset), self._C, 0.5 * (Q + Q.T), noise**2)
         S = self._C @ P @ self._C.T + np.diag(noise**2)
         self.gain: Array = np.asarray(np.linalg.solve(S, self._C @ P).T, dtype=np.float64)
         self.innovation_std: Array = np.sqrt(np.diag(S))
@@ -89,7 +90,7 @@ class KalmanFilter:
             z = found.lift(b.x_history, past)
             later = np.concatenate([b.x_history[:, 1:], b.x_next[:, None, :]], axis=1)
             after = found.lift(later, np.concatenate([past, now], axis=1)[:, 1:] if found.n_delays else past)
-            missed = after - z @ found.A.T - found.features(b.u) @ found.B.T - found.c
+            missed = after - found.rollout(z, now).z[:, 1]
             total += missed.T @ missed
         return cls(found, total / len(pairs), std, measured, gate)
 

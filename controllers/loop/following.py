@@ -29,8 +29,9 @@ class LoopStep:
     move: Move
 
 
-#: Called after every step. A text that it returns ends the run and is the reason in the log; an exception does too.
-Callback = Callable[[LoopStep], str | None]
+#: Called after every step. A text that it returns ends the run and is the reason in the log, as an exception does; a
+#: Warning is given and noted in the log.
+Callback = Callable[[LoopStep], str | Warning | None]
 
 
 class Follower:
@@ -47,7 +48,7 @@ class Follower:
                 raise ValueError(f"callbacks hold a {type(callback).__name__}; expected functions of a LoopStep")
         self._callbacks, self._log, self._path = tuple(callbacks), log, path
         self._stream = None if path is None else LogStream(path, log(0))
-        self.fault = ""
+        self.fault, self.warned = "", list[str]()
 
     def write_if_due(self) -> None:
         """Append the new steps to the file, about once a second."""
@@ -58,9 +59,12 @@ class Follower:
                 self._give_up(error)
 
     def tell(self, step: LoopStep) -> str:
-        """Hand ``step`` to the callbacks; what ends the run, or an empty text."""
+        """Hand ``step`` to the callbacks; what ends the run, or an empty text. Warnings are collected in ``warned``."""
         for callback in self._callbacks:
             answer = callback(step)
+            if isinstance(answer, Warning):
+                self.warned.append(str(answer))
+                warnings.warn(answer, stacklevel=5)
             if isinstance(answer, str):
                 return answer or "no reason given"
         return ""

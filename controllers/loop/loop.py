@@ -85,7 +85,7 @@ class ClosedLoop:
         from there). A plant with ``send(u)`` and ``measure()`` is commanded at the beginning and measured at the end of
         a step; one with ``step`` alone must wait itself for its next sample, or be a simulation.
         ``callbacks``: functions that are told every step (a :class:`LoopStep`) after it; a text that one returns ends
-        the run, and so does an exception: both stand in ``message``.
+        the run, and so does an exception: both stand in ``message``; a Warning that one returns is noted.
         """
         N = count(steps, "steps")
         plant, controller = self.plant, self.controller
@@ -213,7 +213,10 @@ class ClosedLoop:
                 follower.write_if_due()
                 where = "a callback"
                 step = LoopStep(k, (k + 1) * dt, state.copy(), record.wanted[k + 1].copy(), u.copy(), move)
-                if end := follower.tell(step):
+                end = follower.tell(step)
+                record.notes += follower.warned
+                follower.warned.clear()
+                if end:
                     record.message = _at(k, first + steps, dt) + f"ended by a callback: {end}"
                     break
         except KeyboardInterrupt:
