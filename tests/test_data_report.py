@@ -145,3 +145,14 @@ def test_the_report_is_json_and_a_picture(tmp_path: Path) -> None:
         report.plot(tmp_path / "d.png")
         pixels = np.asarray(Image.open(tmp_path / "d.png").convert("L"), dtype=float)
         assert pixels.shape[0] > 500 and pixels.std() > 5.0
+
+
+def test_long_recordings_are_looked_at_in_little_memory() -> None:
+    """Directions of inputs come from their triangular factor: samples by samples would be 20 GB here."""
+    rng = np.random.default_rng(0)
+    x, u = rng.normal(size=(50_001, 1)), rng.normal(size=(50_000, 2)) @ [[1.0, 0.5], [0.0, 1.0]]
+    found = Episodes([x], [u], DT).input_directions()
+    values = np.linalg.svd((u - u.mean(axis=0)) / u.std(axis=0).max(), compute_uv=False)
+    assert found.basis.shape == (2, 2) and np.sort(found.shares) == pytest.approx(
+        np.sort(values / values.max()), rel=0.1
+    )

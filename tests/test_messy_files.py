@@ -144,6 +144,10 @@ def units_of_all_kinds() -> list[File]:
         File("dates of one day with slashes", dates(lambda t: f"11/10/2026 10:20:{t:06.3f}")),
         File("durations of a timetable", dates(lambda t: f"{t:.5g} sec")),
         File("hours, minutes, seconds", dates(lambda t: f"00:00:{t:06.3f}")),
+        File(
+            "midnight within the hours",
+            dates(lambda t: f"23:59:{t + 59.5:06.3f}" if t < 0.495 else f"00:00:{t - 0.5:06.3f}"),
+        ),
         File("decimal comma in hours", dates(lambda t: f"00:00:{t:06.3f}").replace(",", ";").replace(".", ",")),
     ]
     return found
@@ -282,7 +286,7 @@ def faults() -> list[File]:
                 changed(slice(40, 42), lambda k, c, w=word: f"{c[0]},{w},{w},{c[3]}"),
                 tolerance=3e-3,
             )  # type: ignore[misc]
-            for word in ("", "nan", "NaN", "NA", "null", "-", "None", "#N/A")
+            for word in ("", "nan", "NaN", "NA", "null", "-", "None", "#N/A", "-nan(ind)", "1.#IND", "#DIV/0!")
         ],
         File(
             "zeros of lost tracking",
@@ -301,6 +305,12 @@ def faults() -> list[File]:
             changed(slice(40, 60, 10), lambda k, c: f"{c[0]},-9999,-9999,{c[3]}"),
             tolerance=3e-3,
             warned="at exactly -9999",
+        ),
+        File(
+            "one spike of a logger",
+            changed(slice(40, 41), lambda k, c: f"{c[0]},1e30,{c[2]},{c[3]}"),
+            tolerance=3e-3,
+            warned=r"at exactly 1e\+30",
         ),
         File(
             "stall",
@@ -372,6 +382,15 @@ def refusals() -> list[File]:
         ),
         File("text within", plain().replace("\n0.5,", "\nfive,"), refused="'five' is not a number"),
         File("unit in a cell", plain().replace("\n0.5,", "\n0.5 V,"), refused="is not a number"),
+        File(
+            "a second line of words",
+            plain("t,x,y,u\ndouble,double,double,double"),
+            refused="take it out, or give names=",
+        ),
+        File(
+            "a clock of whole seconds", re.sub(r"(?m)^(\d)\.\d+,", r"\1,", plain()), refused="too few digits; give more"
+        ),
+        File("state and input at once", plain(), {"inputs": ["x"]}, refused="'x' is named as a state and as an input"),
         File("header again", plain() + plain(), refused="line 152 repeats the header"),
         File("clock restarts", plain() + plain(""), refused="several runs.*give episode="),
         File(

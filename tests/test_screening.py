@@ -154,3 +154,22 @@ def test_what_a_robot_does_is_no_fault_of_its_sensors() -> None:
 def test_what_is_screened_is_chosen_by_name() -> None:
     with pytest.raises(ValueError, match=r"screen names 'spikes'; expected any of 'zeros', 'stalls', or \(\)"):
         load(TRUE, U, screen=["spikes"])
+
+
+def test_a_body_that_is_lost_is_turned_by_nothing() -> None:
+    """Position zero and quaternion (0, 0, 0, 1): the last is missing with the others."""
+    t, x, u = arm()
+    turned = np.column_stack([0.1 * x[:, :3], np.sqrt(1.0 - 0.01 * (x[:, :3] ** 2).sum(axis=1))])
+    body = np.column_stack([x[:, :3], turned])
+    body[80:90] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    with pytest.warns(UserWarning, match="at exactly 1"):
+        found = load(body, u, t)
+    assert screened(found) == {"at 0": {f"x{i + 1}": 10 for i in range(6)}, "at 1": {"x7": 10}}
+
+
+def test_a_sensor_that_was_off_is_said() -> None:
+    with pytest.warns(UserWarning, match="x1 is 0 in all 300 readings, and no state moves: was the sensor on"):
+        load(np.zeros((N, 3)), U)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load(np.zeros((N, 3)), np.zeros((N, 1)))

@@ -19,7 +19,11 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 #: A decimal fraction, or thousands.
 AMBIGUOUS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+", re.ASCII)
-MISSING = {"", "nan", "na", "n/a", "#n/a", "<na>", "null", "none", "nil", "-", "--", "---", "missing"}
+MISSING = {"", "nan", "na", "n/a", "<na>", "nat", "null", "none", "nil", "-", "--", "---", "missing"}
+#: The same as C libraries and spreadsheets write it.
+MISSING |= {"-nan", "nan(ind)", "-nan(ind)", "1.#ind", "-1.#ind", "1.#qnan", "#n/a", "#div/0!", "#value!", "#num!"}
+#: A clock of the day that falls by more than this [s] has passed midnight.
+DAY, MIDNIGHT = 86400.0, 0.9 * 86400.0
 TRUTH = {"true": 1.0, "false": 0.0}
 DURATION = re.compile(r"([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*([a-zµμ]+)", re.ASCII | re.IGNORECASE)
 CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)", re.ASCII)
@@ -109,7 +113,17 @@ def times(path: object, cells: Cells, decimal: str) -> tuple[ArrayLike, bool]:
         found.append(value)
     if any(isinstance(value, datetime) for value in found):
         return np.array(found, dtype=object), False
-    return np.array([np.nan if value is None else value for value in found], dtype=np.float64), False
+    return _past_midnight(np.array([np.nan if v is None else v for v in found], dtype=np.float64)), False
+
+
+def _past_midnight(times: Array) -> Array:
+    """Times of day [s] that go on after midnight."""
+    known = np.isfinite(times)
+    steps = np.diff(times[known])
+    days = np.cumsum(np.append(0.0, (steps < -MIDNIGHT) & (times[known][1:] < DAY)))[: int(known.sum())]
+    found = times.copy()
+    found[known] += DAY * days
+    return found
 
 
 def _reader(cells: Sequence[str]) -> Callable[[str], float | datetime | None]:

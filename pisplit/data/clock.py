@@ -134,6 +134,10 @@ def _check_increasing(times: Array, rows: Index, run: str) -> None:
     where = f"{run}t does not increase after sample {rows[at]} ({before}, then {after})"
     if not len(falls):
         repeated = int((steps == 0.0).sum())
+        if 3 * repeated > len(steps):
+            raise ValueError(
+                f"{where}: its times have too few digits; give more, or time=None and dt= for a known rate"
+            )
         raise ValueError(f"{where}: {repeated} repeated times; keep one sample of each")
     if len(falls) == len(steps):
         raise ValueError(f"{where}: it runs backwards; reverse all rows")

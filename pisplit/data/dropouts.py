@@ -20,6 +20,8 @@ FAR, FAR_ALONE = 4.0, 8.0
 FAR_AT_START, FAR_FROM_REST = 10.0, 30.0
 #: One column alone is at a value of lost readings in less than this part of its samples; a force may rest at zero.
 SELDOM = 0.2
+#: An extreme value that comes once is lost if it is beyond so many times the range of all others.
+BEYOND = 10.0
 #: Readings that are needed before steps between them are known.
 ENOUGH = 4
 #: Gaps of so many samples may lie between the sides of a value that interpolation tells to be lost.
@@ -39,6 +41,10 @@ def dropouts(times: Array, states: Array, inputs: Array, runs: Sequence[Index]) 
     zeros = _lost(times, states, inputs, runs, np.zeros(states.shape[1]), together=True)
     if zeros.any():
         yield 0.0, zeros
+        ones = _identity(states, zeros)
+        if ones.any():
+            yield 1.0, ones
+        zeros = zeros | ones
     rest = np.where(zeros, np.nan, states)
     for pick in (np.fmin, np.fmax):
         with np.errstate(invalid="ignore"):
@@ -46,6 +52,13 @@ def dropouts(times: Array, states: Array, inputs: Array, runs: Sequence[Index]) 
         found = _lost(times, rest, inputs, runs, extreme, together=False)
         for value in np.unique(extreme[found.any(axis=0)]):
             yield float(value), found & (extreme == value)
+
+
+def _identity(states: Array, zeros: Mask) -> Mask:
+    """Where a lost body is turned by nothing: columns that are 1 where three others are lost, and only there."""
+    rows = zeros.sum(axis=1) >= 3
+    one = states == 1.0
+    return one & rows[:, None] & ((one == rows[:, None]) | ~np.isfinite(states)).all(axis=0)
 
 
 def _lost(times: Array, states: Array, inputs: Array, runs: Sequence[Index], values: Array, together: bool) -> Mask:
@@ -71,7 +84,14 @@ def _lost(times: Array, states: Array, inputs: Array, runs: Sequence[Index], val
         several = len(group) > 1 and any(far for _, _, far, _ in group)
         for c, own, _, alone in group:
             lost[own, c] = several or (alone and seldom[c])
-    return lost if together else lost & np.array([len(stretches(column)) >= 2 for column in lost.T])
+    return lost if together else lost & np.array([_returns(*pair) for pair in zip(states.T, lost.T, strict=True)])
+
+
+def _returns(column: Array, lost: Mask) -> bool:
+    """Whether an extreme value comes back, or is beyond all that a sensor reads."""
+    rest = column[np.isfinite(column) & ~lost]
+    beyond = len(rest) > 0 and np.abs(column[lost] - rest.mean()).min(initial=np.inf) > BEYOND * np.ptp(rest)
+    return len(stretches(lost)) >= 2 or bool(lost.any() and beyond)
 
 
 def _far(

@@ -261,7 +261,10 @@ class Episodes:
         u = self.stacked_inputs()
         mean = u.mean(axis=0)
         largest = np.abs(u).max(axis=0, initial=0.0)
-        return excited_directions(mean, u - mean, largest, len(u), self.input_units)
+        factor: Array = np.asarray(
+            np.linalg.qr(u - mean, mode="r"), dtype=np.float64
+        )  # of m rows: as many as samples would be squared in memory
+        return excited_directions(mean, factor, largest, len(u), self.input_units)
 
     def input_subspace(self) -> tuple[Array, Array]:
         """Mean input (m,) and an orthonormal basis (m, r) of the directions in which the inputs vary.

@@ -46,6 +46,9 @@ class Header:
             found = [i for i, text in enumerate(known) if text == name]
             if found:
                 return found
+        found = [i for i, text in enumerate(short) if (match := BRACKETS.match(text)) and match.group(1) == name]
+        if found:
+            return found
         asked = _words(name)
         return [
             i

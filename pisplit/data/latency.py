@@ -15,7 +15,7 @@ REACH, REACH_STEPS, REACH_PART = 0.3, 10, 0.25
 #: Samples of history, and principal components of the states, that the prediction starts from.
 HISTORY, COMPONENTS = 4, 6
 #: Stretches of pairs that are learned from and judged on in turn; the most pairs that are looked at.
-STRETCH, PAIRS = 10, 20_000
+STRETCH, PAIRS = 10, 6_000
 #: Pairs that move by more than so many of the largest usual steps are spikes of a sensor, not motion.
 SPIKE = 4.0
 #: One tap of the commands is enough if its residual exceeds that of two by no more than this part.
@@ -111,9 +111,10 @@ class _Pairs:
         scale = np.where(moving, spread, np.inf)
         _, _, axes = np.linalg.svd(((x - x.mean(axis=0)) / scale)[:: max(1, len(x) // PAIRS)], full_matrices=False)
         parts: list[tuple[Array, Array, Array]] = []
+        thin = max(1, len(u) // PAIRS)
         for states, inputs in zip(xs, us, strict=True):
             z = ((states - x.mean(axis=0)) / scale) @ axes[:COMPONENTS].T
-            k = np.arange(max(HISTORY - 1, reach + 1), len(inputs) - reach - 1)
+            k = np.arange(max(HISTORY - 1, reach + 1), len(inputs) - reach - 1, thin)
             if len(k) == 0:
                 continue
             history = np.hstack([z[k - lag] for lag in range(HISTORY)])
@@ -126,9 +127,8 @@ class _Pairs:
         moves = np.abs(np.hstack([step, history[:, :-r] - history[:, r:]])).max(axis=1)
         calm = moves <= SPIKE * float(np.quantile(moves, 0.95))
         history, step, around = history[calm], step[calm], around[calm]
-        thin = max(1, len(step) // PAIRS)
-        even = (np.arange(len(step)) // (STRETCH * thin)) % 2 == 0
-        return cls(history[::thin], step[::thin], around[::thin], reach, even[::thin])
+        even = (np.arange(len(step)) // STRETCH) % 2 == 0
+        return cls(history, step, around, reach, even)
 
     @property
     def judged(self) -> int:

@@ -52,6 +52,7 @@ def screened(
     if unknown:
         raise ValueError(f"screen names {unknown[0]!r}; expected any of {', '.join(map(repr, KINDS))}, or () for none")
     result = Screened(states)
+    _say_what_never_moves(states, inputs, names)
     runs = list(members.values())
     if "zeros" in wanted:
         for value, lost in dropouts(times, result.states, inputs, runs):
@@ -66,6 +67,15 @@ def screened(
         text = "that repeat the last one to the last digit while the inputs or other readings move: taken for missing"
         _say(_without(result, still, "stalled", names), text, "stalls", times, still)
     return result
+
+
+def _say_what_never_moves(states: Array, inputs: Array, names: Sequence[str]) -> None:
+    """Say where commands move and no state does: nothing was seen."""
+    if not len(states):
+        return
+    low, high = np.fmin.reduce(states, axis=0), np.fmax.reduce(states, axis=0)
+    if (low == high).all() and bool((np.fmin.reduce(inputs, axis=0) < np.fmax.reduce(inputs, axis=0)).any()):
+        warn(f"{names[0]} is {low[0]:g} in all {len(states)} readings, and no state moves: was the sensor on?")
 
 
 def _without(result: Screened, bad: NDArray[np.bool_], what: str, names: Sequence[str]) -> dict[str, int]:

@@ -16,6 +16,8 @@ from pisplit.data.text import DELIMITERS, rows_of, text_of
 
 #: Lines that tell the delimiter.
 TOP = 200
+#: What helps where the line below a header holds words.
+SECOND = "; a second line of names or units: take it out, or give names= for all columns"
 
 
 def from_csv(
@@ -61,6 +63,8 @@ def from_csv(
     groups = [[given] if isinstance(given, str) else list(given) for given in (states, inputs)]
     if not groups[0]:
         raise ValueError("states names no columns; give at least one")
+    if both := sorted(set(groups[0]) & set(groups[1])):
+        raise ValueError(f"{both[0]!r} is named as a state and as an input; give it once")
     if episode is not None and not isinstance(episode, str):
         raise ValueError(f"episode is a {type(episode).__name__}; expected the name of a column")
     if decimal is not None and decimal not in (".", ","):
@@ -108,10 +112,18 @@ def table(
     times = [found[name] for name in clock]
     decimal = decimal or cells.decimal_mark([*numeric, *times], path)
     units = {name: header.unit(i) for name, i in zip(columns, where[len(clock) :], strict=False)}
-    t, unit = _read_times(path, times, decimal, header, where)
+    second = "" if any(cells.is_cell(cell) for cell in rows[0][1] if cell) else SECOND
+    try:
+        t, unit = _read_times(path, times, decimal, header, where)
+    except ValueError as error:
+        raise ValueError(f"{error}{second}") from None
+    try:
+        numbers = {name: cells.numbers(path, found[name], decimal) for name in columns}
+    except ValueError as error:
+        raise ValueError(f"{error}{second}") from None
     return Table(
         path.name,
-        {name: cells.numbers(path, found[name], decimal) for name in columns},
+        numbers,
         {name: unit for name, unit in units.items() if unit is not None},
         t,
         unit,
@@ -198,7 +210,7 @@ def _samples(
     last = -1 if text.endswith(("\n", "\r")) else len(text.splitlines())
     try:
         for line, row in rows_of(text, mark):
-            if line <= header.line or not row or row[0].startswith("#"):
+            if line <= header.line or not row or (row[0].startswith("#") and not cells.is_missing(row[0])):
                 continue
             if any(row[size:]):
                 raise ValueError(f"{path}, line {line} has {len(row)} cells; the header has {size}")
