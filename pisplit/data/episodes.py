@@ -362,7 +362,7 @@ class Episodes:
     def from_mat(
         cls,
         path: str | os.PathLike[str],
-        time: str,
+        time: str | None,
         states: str | Sequence[str],
         inputs: str | Sequence[str],
         **options: Any,
