@@ -159,6 +159,33 @@ def test_the_delay_of_a_linear_system_is_found_within_what_is_told(
     assert found.delay is not None and abs(found.delay - delay * DT) <= found.error <= 2.0 * DT
 
 
+@pytest.mark.parametrize("explored", [0.1, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_commands_of_a_controller_do_not_look_early(explored: float, noise: float) -> None:
+    """Feedback knows the motion, and yet acts on it: the delay is none."""
+    rng = np.random.default_rng(0)
+    wanted = np.repeat(rng.uniform(-1.0, 1.0, N // 20), 20)
+    x, u = np.zeros((N, 2)), np.zeros((N - 1, 1))
+    for k in range(N - 1):
+        seen = x[k] + noise * rng.normal(size=2)
+        u[k] = 3.0 * (wanted[k] - seen[0]) - 2.0 * seen[1] + explored * rng.normal()
+        x[k + 1] = SWING @ x[k] + [0.02, 0.2] * u[k]
+    found = find_latency([x], [u], DT)
+    assert found.delay is not None and abs(found.delay) <= found.error <= 2.0 * DT
+
+
+def test_a_steady_command_log_that_stops_or_pauses_is_said(tmp_path: Path) -> None:
+    x, u = swing()
+    t = DT * np.arange(N)
+    rows = [f"{a:.6f},{b!r},{c!r}" for a, (b, c) in zip(t.tolist(), x.tolist(), strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["t,x,v", *rows]) + "\n")
+    sent = [f"{a:.6f},{b!r}" for a, b in zip(t.tolist(), u[:, 0].tolist(), strict=True)]
+    for kept, said in (([*sent[:200]], r"ends 4 s before run.csv"), ([*sent[:200], *sent[250:]], "pauses for 1.02 s")):
+        (tmp_path / "servo.csv").write_text("\n".join(["stamp,pull", *kept]) + "\n")
+        with pytest.warns(UserWarning, match=said):
+            Episodes.from_csv(tmp_path / "run.csv", **ASK, commands=tmp_path / "servo.csv", command_shift=0.0)
+
+
 def test_no_delay_is_told_where_inputs_say_nothing() -> None:
     rng = np.random.default_rng(0)
     x = swing()[0]

@@ -22,6 +22,8 @@ SPIKE = 4.0
 ENOUGH = 0.05
 #: A delay is told only where it predicts better than the usual one by this part.
 VISIBLE = 0.02
+#: Motion that its own past predicts to this residual, whatever the delay, does not show what commands do.
+ALONE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,8 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
     xs, us  states (T_i + 1, n) and inputs (T_i, m), one array an episode, row k held from sample k to k + 1
     dt      step [s]
 
-    ``delay`` is None where the inputs rest, the episodes are too short, or no delay stands out.
+    ``delay`` is None where the inputs rest, the episodes are too short, or no delay stands out. Commands that a
+    controller made from these states do not mislead it: what they do to the next sample tells more than what they know.
 
     Source: time delay estimation by explicit delay models, Bjorklund, A Survey and Comparison of Time-Delay Estimation
     Methods in Linear Systems, Linkoping 2003, ch. 3.
@@ -83,7 +86,7 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
                 best, least = candidate, value
         step *= 0.5
     tried = np.column_stack([dt * grid, curve])
-    if not least < (1.0 - VISIBLE) * usual:
+    if usual < ALONE or not least < (1.0 - VISIBLE) * usual:
         return Latency(None, np.inf, least, usual, tried)
     alike = grid[curve**2 <= least**2 * (1.0 + 40.0 / data.judged)]
     error = max(1.0 + min(1.0, 3.0 * least), float(np.abs(alike - best).max(initial=0.0)))

@@ -18,6 +18,9 @@ from pisplit.data.warning import warn
 
 Array = NDArray[np.float64]
 
+#: A log of commands is steady if nine of ten spacings are at most so many times the median; pauses are longer by this.
+STEADY, PAUSE = 1.5, 10.0
+
 
 def from_two_clocks(
     sensors: Sequence[Table],
@@ -114,6 +117,7 @@ def _merged(sensors: Table, commands: Table, time_unit: Any, shift: float) -> Ta
         )
     if (np.diff(s[sent]) < 0.0).any():
         raise ValueError(f"{commands.source}: times run back; give one file a run")
+    _say_where_commands_end(sensors, commands, t[read], s[sent])
     before = sent[s[sent] <= t[read].min()]
     wanted = np.concatenate([before[-1:], sent[(s[sent] > t[read].min()) & (s[sent] <= t[read].max())]])
     times = np.union1d(t[read], s[wanted])
@@ -129,3 +133,18 @@ def _merged(sensors: Table, commands: Table, time_unit: Any, shift: float) -> Ta
             columns[name] = np.full(len(times), np.nan)
             columns[name][at] = column[rows]
     return replace(sensors, columns=columns, units={**sensors.units, **commands.units}, times=times, clock="s")
+
+
+def _say_where_commands_end(sensors: Table, commands: Table, t: Array, s: Array) -> None:
+    """Say where a log of commands at a steady rate stops or pauses; one that is written at changes may end any time."""
+    steps = np.diff(s[(s >= t.min()) & (s <= t.max())])
+    if len(steps) < 10 or np.quantile(steps, 0.9) > STEADY * np.median(steps):
+        return
+    longest, pause = PAUSE * float(np.median(steps)), float(steps.max())
+    if t.max() - s.max() > longest:
+        warn(
+            f"{commands.source} ends {t.max() - s.max():.3g} s before {sensors.source}; its last command is held: "
+            f"cut the sensors if it was not"
+        )
+    if pause > longest:
+        warn(f"{commands.source} pauses for {pause:.3g} s; its last command is held there")
