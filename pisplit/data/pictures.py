@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pisplit.files import replacing
+from pisplit.pictures.figures import LINES, keep, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pisplit.data.report import DataReport
 
-#: Most columns that are told apart by colour in one panel.
-LINES = 6
-
 
 def plot_report(report: DataReport, path: str | os.PathLike[str] | None) -> Figure:
-    """The longest episode of ``report``, its inputs against one another, correlations and the scan of the delay.
+    """The longest episode of ``report``, its inputs against one another, and the scan of the delay.
 
     Written to ``path`` if it is not None.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13.0, 7.0)
     (states, plane), (inputs, scan) = figure.subplots(2, 2, width_ratios=[2.2, 1.0])
     episodes = report.drawn
     longest = int(np.argmax(report.steps))
@@ -38,10 +30,8 @@ def plot_report(report: DataReport, path: str | os.PathLike[str] | None) -> Figu
     _plane(plane, episodes)
     _delays(scan, report)
     figure.suptitle(f"{report.episodes} episodes, {report.duration:.4g} s; the longest: {report.steps[longest]} steps")
-    if path is not None:
-        with replacing(path) as part:
-            figure.savefig(part, dpi=130, format=Path(path).suffix.lstrip(".") or "png")
-    return figure
+    tidy(states, plane, inputs, scan)
+    return keep(figure, path)
 
 
 def _lines(axis: Any, t: Any, values: Any, names: Any, title: str, steps: bool = False) -> None:
