@@ -133,6 +133,17 @@ def units_of_all_kinds() -> list[File]:
         File("units in a bracketed row", plain("t,x,y,u\n[s],[mm],[m],[-]", x=1e3), units=("m", "m")),
         File("clock that names its unit", plain("time_ms,x,y,u", t=1e3), {"time": "time_ms"}),
         File(
+            "words in brackets that are no units",
+            plain("t [min],x (in),y [g],u (min)", t=1 / 60),
+            {"states": ["x (in)", "y"], "inputs": ["u"]},
+            units=("", ""),
+        ),
+        File(
+            "gravity in a row of units",
+            plain("t,x,y,u\ns,m,g,V"),
+            refused="not a number.*a second line of names or units: take it out",
+        ),
+        File(
             "units taken as they are", plain("t,x [mm],y [mm],u"), {"states": ["x [mm]", "y [mm]"], "state_units": ""}
         ),
         File(

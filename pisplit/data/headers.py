@@ -17,6 +17,9 @@ SEPARATORS = re.compile(r"[\s./_:]+")
 #: Ends of names of clocks that name their unit.
 CLOCK_UNITS = {"ms": "ms", "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "sec": "s", "s": "s"}
 
+#: Words in brackets that are a unit of times alone: "flow (in)", "p (min)", "acc [g]" are no inches, minutes and grams.
+OTHER_WORDS = ("min", "in", "d", "h", "g")
+
 Row = tuple[int, list[str]]
 
 
@@ -63,8 +66,9 @@ class Header:
         words = self.columns[position]
         unit = without_unit(words[-1])[1] if words else None
         if unit is None and clock and words:
+            inside = BRACKETS.match(words[-1])
             last = SEPARATORS.split(words[-1].lower())
-            unit = CLOCK_UNITS.get(last[-1]) if len(last) > 1 else None
+            unit = written(inside.group(2)) if inside else CLOCK_UNITS.get(last[-1]) if len(last) > 1 else None
         return unit
 
 
@@ -154,8 +158,10 @@ def _dashes(cell: str) -> bool:
 def without_unit(name: str) -> tuple[str, str | None]:
     """The ``name`` and the unit in brackets behind it, if it is one."""
     match = BRACKETS.match(name)
-    unit = written(match.group(2)) if match and match.group(1) else None
-    return (match.group(1), unit) if match and unit else (name, None)
+    if match is None or not match.group(1) or match.group(2).strip().lower() in OTHER_WORDS:
+        return name, None
+    unit = written(match.group(2))
+    return (match.group(1), unit) if unit else (name, None)
 
 
 def _words(name: str) -> list[str]:

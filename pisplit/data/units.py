@@ -91,6 +91,8 @@ def to_si(unit: str, what: str) -> tuple[str, float]:
 def written(text: str) -> str | None:
     """The unit that a ``text`` of a file names, with or without brackets: "[mm]", "Seconds", "m/s"; None for others."""
     plain = re.sub(r"^[\[(<]\s*|\s*[\])>]$", "", text.strip())
+    if plain in ("g", "G"):  # of accelerations more often than of masses
+        return None
     for candidate in (plain, plain.lower()):
         try:
             to_si(candidate, "")
