@@ -125,7 +125,8 @@ def fitted(arm: TendonArm, folder: Path, seed: int, quick: bool) -> tuple[PIEDMD
     samples = 400 if quick else 4000
     d2 = make_phase_samples(arm, folder / f"d2-{seed}.h5", samples, rates, deviations, seed=seed)
     physics = ArmPhysics(equilibrium_table(arm, half_width=0.022))
-    model = PIEDMDc(physics.dictionary(), alpha="cv", penalty="ridge", split="hold", options=physics.options())
+    options = physics.options()
+    model = PIEDMDc(physics.dictionary(), alpha="cv", penalty="ridge", split="hold", options=options, cv_folds=1)
     return model.fit(d1, d2), d1
 
 

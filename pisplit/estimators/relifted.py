@@ -22,7 +22,7 @@ from pisplit.estimators.alpha_search import state_weights
 from pisplit.estimators.base import Estimator
 from pisplit.estimators.boundedness import Excitation
 from pisplit.estimators.commands import excitation_inputs
-from pisplit.estimators.fold_errors import FoldErrors, RolloutVerdict, constant_error, judged, reasons
+from pisplit.estimators.fold_errors import LOST, FoldErrors, RolloutVerdict, constant_error, judged, reasons
 from pisplit.estimators.folds import Fold, make_folds
 from pisplit.estimators.relifted_coordinates import Coordinates, product_table
 from pisplit.lifted.model import LiftedModel
@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 #: Ridges to choose from, relative to the mean diagonal of the Gram matrix.
 RIDGES = tuple(np.logspace(-12, 0, 9).tolist())
+#: Structures whose squared error is so many times that of the best on the folds so far are not fitted to the next.
+BEHIND = 9.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class StructureSearch:
 
     tried      structures, the best first
     errors     (G,) their median squared errors in scaled states, geometric means over folds; infinite where a roll-out
-               diverged
+               diverged, and for those that fell far behind on the first folds
     chosen     the first that stays bounded, or the first of all
     held_out   numbers of the episodes that were held out
     bounded    whether the choice stays bounded under the excitation; None if nobody asked
@@ -202,14 +204,21 @@ class ReliftedEDMDc(Estimator):
     def _judged(
         self, d1: Episodes, theta: Dictionary, pairs: Pairs, folds: Sequence[Fold], structures: Sequence[Structure]
     ) -> FoldErrors:
-        """Roll-outs of all ``structures`` on all ``folds``."""
+        """Roll-outs of ``structures`` on all ``folds``; what is far behind so far takes no part in the next."""
         weights = state_weights(theta, pairs)
         verdicts: list[list[RolloutVerdict]] = [[] for _ in structures]
-        constant = []
-        for fold in folds:
-            for row, (_, model) in zip(verdicts, self._models(d1, fold.training, theta, structures), strict=True):
-                row.append(judged(model, fold, self.cv_states, weights))
-            constant.append(constant_error(model, fold, self.cv_states, weights))
+        constant, running = [], list(range(len(structures)))
+        for number, fold in enumerate(folds, start=1):
+            models = self._models(d1, fold.training, theta, [structures[i] for i in running])
+            for i, (_, model) in zip(running, models, strict=True):
+                verdicts[i].append(judged(model, fold, self.cv_states, weights))
+                last = model
+            constant.append(constant_error(last, fold, self.cv_states, weights))
+            for row in verdicts:
+                row += [LOST] * (number - len(row))
+            joint = FoldErrors.of(folds[:number], verdicts, constant).joint()
+            if np.isfinite(joint).any():
+                running = np.flatnonzero(joint <= BEHIND * joint.min()).tolist()
         return FoldErrors.of(folds, verdicts, constant)
 
     def _structures(self, pairs: int) -> list[Structure]:

@@ -20,6 +20,8 @@ RIDGES = tuple(np.logspace(-10, 3, 14).tolist())
 DELAYED, POLYNOMIAL = 40, 6
 #: Costs within this part of the smallest error are worth a larger penalty: margins count in control.
 TOLERANCE = 0.1
+#: Folds for models with physics: these need little from data, and their regressions are the dear ones.
+PHYSICAL_FOLDS = 1
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ def _hold(case: Case) -> Any:
         options=physics.options(),
         cv_states=case.states,
         cv_tolerance=TOLERANCE,
+        cv_folds=PHYSICAL_FOLDS,
     )
     return estimator.fit(case.d1, case.phase_samples(), excitation=case.excitation)
 
@@ -102,7 +105,7 @@ d2 = make_phase_samples(
 )
 model = PIEDMDc(
     physics.dictionary(), alpha="cv", penalty="ridge", split="hold", options=physics.options(), cv_states=states,
-    cv_tolerance={TOLERANCE},
+    cv_tolerance={TOLERANCE}, cv_folds={PHYSICAL_FOLDS},
 ).fit(d1, d2, excitation=excitation)"""
 
 
@@ -119,7 +122,9 @@ def _twin(case: Case) -> Any:
     if "dictionaries" not in case.made:
         case.made["dictionaries"] = twin_dictionaries(twin, moved)
     theta, ridge = case.made["dictionaries"][-1]
-    estimator = TwinEDMDc(theta, "cv", ridge, omit=OMIT, cv_states=case.states, cv_tolerance=TOLERANCE)
+    estimator = TwinEDMDc(
+        theta, "cv", ridge, omit=OMIT, cv_states=case.states, cv_tolerance=TOLERANCE, cv_folds=PHYSICAL_FOLDS
+    )
     return estimator.fit(case.d1, twin, excitation=moved)
 
 
@@ -128,9 +133,9 @@ TWIN = f"""from pisplit.models.arm import random_displacements, twin_dictionarie
 twin = arm.record(16, seed=7919, steps=min(200, max(60, *map(len, d1.us))), dt=d1.dt, stations=d1.n_states // 24)
 moved = np.stack([random_displacements(arm, 120, np.random.default_rng(7919 + k)) for k in range(4)])
 theta, ridge = twin_dictionaries(twin, moved)[-1]
-model = TwinEDMDc(theta, "cv", ridge, omit={OMIT!r}, cv_states=states, cv_tolerance={TOLERANCE}).fit(
-    d1, twin, excitation=moved
-)"""
+model = TwinEDMDc(
+    theta, "cv", ridge, omit={OMIT!r}, cv_states=states, cv_tolerance={TOLERANCE}, cv_folds={PHYSICAL_FOLDS}
+).fit(d1, twin, excitation=moved)"""
 
 #: In the order in which they are told; the first of equal ones is taken.
 CANDIDATES: tuple[Candidate, ...] = (

@@ -122,7 +122,7 @@ class InRodCoordinates:
         small, physics = compact(draw), physics_of(draw.law)
         theta = physics.dictionary()
         fit = self.estimator(theta, alpha="cv", alphas=RIDGES, cv_states="shape")
-        return Kinematic(quietly(fit.fit, small.episodes, small.pairs(theta.n_delays)).lifted, physics)
+        return Kinematic(quietly(fit.fit, small.episodes, small.pairs(theta.n_delays), excitation=None).lifted, physics)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def main() -> None:
 
 def relifted(d1: ps.Episodes, drawn: ps.Pairs) -> ps.ReliftedEDMDc:
     """The structure is chosen on held-out recordings and under recorded inputs."""
-    return ps.ReliftedEDMDc(cv_states="shape", omit=("v",)).fit(d1, drawn, excitation=np.stack(d1.us[:8]))
+    return ps.ReliftedEDMDc(cv_states="shape", omit=("v",), cv_folds=1).fit(d1, drawn, excitation=np.stack(d1.us[:8]))
 
 
 def bilinear(d1: ps.Episodes, drawn: ps.Pairs) -> ps.BilinearEDMDc:
@@ -66,7 +66,7 @@ def bilinear(d1: ps.Episodes, drawn: ps.Pairs) -> ps.BilinearEDMDc:
     theta = ps.Dictionary(*terms, n_states=d1.n_states, n_inputs=d1.n_inputs)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return ps.BilinearEDMDc(theta, alpha="cv", alphas=RIDGES, cv_states="shape").fit(d1, drawn)
+        return ps.BilinearEDMDc(theta, alpha="cv", alphas=RIDGES, cv_states="shape", cv_folds=1).fit(d1, drawn)
 
 
 def track(report: Report, arm: ps.TendonArm, model: ps.ReliftedEDMDc | ps.BilinearEDMDc, steps: int) -> None:
