@@ -10,6 +10,7 @@ from pisplit.checks import Array, positive
 from pisplit.controllers.loop.following import LoopStep
 from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
+from pisplit.lifted.model import LiftedModel
 
 #: Times the largest mean square innovation of the recordings from which on a warning is given, and how much worse it
 #: has to become for the next one.
@@ -37,7 +38,9 @@ class InnovationWatch:
     Raises ValueError for episodes that do not fit the model or are shorter than the window.
     """
 
-    def __init__(self, model: Fitted, episodes: Episodes, states: States = None, window: float = 0.5) -> None:
+    def __init__(
+        self, model: LiftedModel | Fitted, episodes: Episodes, states: States = None, window: float = 0.5
+    ) -> None:
         self.model = found = model_of(model, "model")
         data = matched(found, episodes)
         self._rows = state_indices(found, states)
