@@ -398,8 +398,11 @@ def refusals() -> list[File]:
             plain("t,x,y,u\ndouble,double,double,double"),
             refused="take it out, or give names=",
         ),
+        File("a clock of whole seconds", re.sub(r"(?m)^(\d)\.\d+,", r"\1,", plain()), refused="too few digits"),
         File(
-            "a clock of whole seconds", re.sub(r"(?m)^(\d)\.\d+,", r"\1,", plain()), refused="too few digits; give more"
+            "one sensor a row",
+            "t,name,x,y,u\n" + lines([np.repeat(T, 2), ["a", "b"] * N, *(np.repeat(v, 2) for v in (*X.T[:2], U))]),
+            refused="every row holds another sensor",
         ),
         File("state and input at once", plain(), {"inputs": ["x"]}, refused="'x' is named as a state and as an input"),
         File("header again", plain() + plain(), refused="line 152 repeats the header"),
@@ -479,3 +482,26 @@ def test_several_files_are_one_recording_that_knows_where_it_is_from(tmp_path: P
     (tmp_path / "run3.csv").write_text("t,x,y,u\n" + lines([T, X[:, 0], X[:, 1], U]))
     with pytest.raises(ValueError, match="has a unit in one file and none in another; give state_units="):
         Episodes.from_csv(str(tmp_path / "run*.csv"), **ASK)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        ({"names": "txyu"}, "names = 'txyu' is one text"),
+        ({"screen": None}, "screen = None; expected any of 'zeros', 'stalls'"),
+        ({"time_unit": True}, "time_unit = True; expected a unit of time"),
+        ({"delimiter": ";;"}, "is no table"),
+        ({"path": 5}, "path is a int; expected a file"),
+        ({"path": []}, "path is an empty list"),
+        ({"decimal": ";"}, r"decimal = ';'; expected '\.' or ','"),
+        ({"inputs": [], "commands": "run.csv"}, "inputs names no columns"),
+        ({"header": 1}, "unknown argument 'header'"),
+    ],
+)
+def test_wrong_arguments_are_one_line(ask: dict[str, Any], message: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(plain())
+    with pytest.raises(ValueError, match=message) as error:
+        Episodes.from_csv(**{"path": tmp_path / "run.csv", **ASK, **ask})
+    assert "\n" not in str(error.value)
+    with pytest.raises(ValueError, match="is a folder; give a file, or a pattern such as"):
+        Episodes.from_csv(tmp_path, **ASK)

@@ -174,6 +174,15 @@ def test_commands_of_a_controller_do_not_look_early(explored: float, noise: floa
     assert found.delay is not None and abs(found.delay) <= found.error <= 2.0 * DT
 
 
+def test_of_commands_of_one_time_the_last_counts(tmp_path: Path) -> None:
+    _, u = written(tmp_path)
+    head, *rows = (tmp_path / "servo0.csv").read_text().splitlines()
+    twice = [line for row in rows for line in (f"{row.split(',')[0]},7.0", row)]
+    (tmp_path / "servo0.csv").write_text("\n".join([head, *twice]) + "\n")
+    found = Episodes.from_csv(tmp_path / "run0.csv", **ASK, commands=tmp_path / "servo0.csv")
+    np.testing.assert_allclose(found.us[0], u[:-1], atol=1e-9)
+
+
 def test_a_steady_command_log_that_stops_or_pauses_is_said(tmp_path: Path) -> None:
     x, u = swing()
     t = DT * np.arange(N)

@@ -27,6 +27,8 @@ def seconds(t: ArrayLike, time_unit: str | float | None = None) -> Array:
 
     Raises ValueError for other shapes, texts and units, and for dates with a ``time_unit`` beside them.
     """
+    if isinstance(time_unit, bool):
+        raise ValueError(f"time_unit = {time_unit}; expected a unit of time, or seconds a tick")
     if isinstance(time_unit, str | None):
         second, factor = to_si(time_unit or "s", "time_unit")
         if second != "s":
@@ -136,7 +138,8 @@ def _check_increasing(times: Array, rows: Index, run: str) -> None:
         repeated = int((steps == 0.0).sum())
         if 3 * repeated > len(steps):
             raise ValueError(
-                f"{where}: its times have too few digits; give more, or time=None and dt= for a known rate"
+                f"{where}: its times have too few digits (for a known rate time=None and dt=), or every row holds "
+                f"another sensor (give one row a time)"
             )
         raise ValueError(f"{where}: {repeated} repeated times; keep one sample of each")
     if len(falls) == len(steps):

@@ -120,6 +120,7 @@ def _merged(sensors: Table, commands: Table, time_unit: Any, shift: float) -> Ta
     _say_where_commands_end(sensors, commands, t[read], s[sent])
     before = sent[s[sent] <= t[read].min()]
     wanted = np.concatenate([before[-1:], sent[(s[sent] > t[read].min()) & (s[sent] <= t[read].max())]])
+    wanted = wanted[np.append(np.diff(s[wanted]) > 0.0, True)]  # of commands of one time the last one counts
     times = np.union1d(t[read], s[wanted])
     columns: dict[str, Array] = {}
     for source, own, rows in ((sensors, t, read), (commands, s, wanted)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -18,6 +18,8 @@ def files_of(path: Paths) -> list[Path]:
 
     Raises FileNotFoundError where a pattern fits no file, and ValueError for an empty list and files named twice.
     """
+    if not isinstance(path, str | os.PathLike | Iterable):
+        raise ValueError(f"path is a {type(path).__name__}; expected a file, a pattern or a list of these")
     if not isinstance(path, str | os.PathLike):
         found = [file for part in path for file in files_of(part)]
         if not found:

@@ -137,8 +137,10 @@ def report_on(episodes: Episodes) -> DataReport:
         columns.append(_column(u[:, i], name, (episodes.input_units or ())[i], "input", None, hold, odd_inputs[i]))
     found = episodes.input_directions()
     directions = found.lines(episodes.input_names or ()) if episodes.n_inputs else ()
+    away = u - u.mean(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlations = np.atleast_2d(np.corrcoef(u.T)) if episodes.n_inputs else np.zeros((0, 0))
+        away = away / np.linalg.norm(away, axis=0)
+        correlations = away.T @ away
     latency = find_latency(episodes.xs, episodes.us, episodes.dt)
     steps = tuple(len(part) for part in episodes.us)
     return DataReport(

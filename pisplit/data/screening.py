@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,6 +47,8 @@ def screened(
 
     Raises ValueError for another name in ``screen``.
     """
+    if not isinstance(screen, str | Iterable):
+        raise ValueError(f"screen = {screen!r}; expected any of {', '.join(map(repr, KINDS))}, or () for none")
     wanted = [screen] if isinstance(screen, str) else list(screen)
     unknown = [name for name in wanted if name not in KINDS]
     if unknown:

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from pisplit.data.episodes import Episodes
 
 
+#: Facts that belong to one recording and not to several.
+OWN = ("episodes", "samples", "incomplete_samples", "lost_samples", "pieces", "jitter", "starts", "runs", "screened")
+
+
 def not_episodes(value: Any, name: str, expected: str = "Episodes") -> str:
     """What is wrong with a ``value`` called ``name`` that is not what is ``expected``, and how several become one."""
     several = isinstance(value, list | tuple) and len(value) > 0 and all(hasattr(part, "xs") for part in value)
@@ -78,6 +82,6 @@ def _origin(recordings: Sequence[Episodes]) -> dict[str, Any]:
     shared = {
         key: value
         for key, value in parts[0].items()
-        if key != "episodes" and all(key in part and part[key] == value for part in parts)
+        if key not in OWN and all(key in part and part[key] == value for part in parts)
     }
     return {**shared, "parts": [dict(part) for part in parts]}

@@ -69,6 +69,10 @@ def from_csv(
         raise ValueError(f"episode is a {type(episode).__name__}; expected the name of a column")
     if decimal is not None and decimal not in (".", ","):
         raise ValueError(f"decimal = {decimal!r}; expected '.' or ','")
+    if isinstance(names, str):
+        raise ValueError(f"names = {names!r} is one text; expected a list of the names of all columns")
+    if commands is not None and not groups[1]:
+        raise ValueError("inputs names no columns; give those of the files of commands")
     clock = [] if time is None else [time] if isinstance(time, str) else list(time)
     files = files_of(path)
     if commands is not None:

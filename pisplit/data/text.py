@@ -36,6 +36,8 @@ def text_of(path: str | os.PathLike[str], encoding: str | None = None) -> str:
     Raises FileNotFoundError if it is missing, and ValueError for files that are no text, or of another encoding.
     """
     place = Path(path)
+    if place.is_dir():
+        raise ValueError(f"{place} is a folder; give a file, or a pattern such as {place / '*.csv'}")
     if not place.is_file():
         raise FileNotFoundError(f"{place} does not exist; expected a table with a header line")
     content = place.read_bytes()
