@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 SOURCES := $(shell find pisplit models controllers -name '*.py')
 ARGS ?=
 
-.PHONY: demo test lint bench docs mutants clean
+.PHONY: demo test lint bench docs gallery mutants clean
 
 demo: $(VENV)/.package
 	$(BIN)/python scripts/mpc_demo.py $(ARGS)
@@ -32,6 +32,9 @@ $(VENV)/.docs: $(VENV)/.package
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation --force-reinstall .
 	rm -rf build
 	touch $@
+
+gallery: $(VENV)/.package
+	$(BIN)/python scripts/make_gallery.py $(ARGS)
 
 # At most 30 minutes on two idle cores; goes on where it was stopped (docs/testing.md).
 mutants: $(VENV)/.package

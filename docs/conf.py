@@ -12,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 project = "pisplit"
 author = "the authors of pisplit"
 version = release = pisplit.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "docstrings"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions += ["docstrings", "pictures"]
 html_theme = "furo"
 html_title = f"pisplit {release}"
 html_show_sourcelink = False

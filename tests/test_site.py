@@ -112,8 +112,9 @@ def test_a_broken_link_ends_the_build(tmp_path: Path) -> None:
     for name in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(name, reason="needs the extra docs")
     (tmp_path / "site").mkdir()
-    for name in ("conf.py", "docstrings.py"):
-        (tmp_path / "site" / name).write_text((DOCS / name).read_text())
+    (tmp_path / "site" / "docstrings.py").write_text((DOCS / "docstrings.py").read_text())
+    conf = (DOCS / "conf.py").read_text().replace(', "pictures"', "")  # they take a minute
+    (tmp_path / "site" / "conf.py").write_text(conf)
     good = "# Start\n\n[there](#there)\n\n## There\n\n```{eval-rst}\n:py:obj:`pisplit.Episodes`\n```\n"
     pages = [good, good.replace("#there", "#where"), good.replace("Episodes", "Episode")]
     codes = []
