@@ -16,6 +16,8 @@ Cells = Sequence[tuple[int, str]]
 
 #: What a cell may hold; float() alone would read 1_00.5 as 100.5.
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+#: Columns of these characters, and a line end, hold nothing that float() reads and NUMBER does not.
+PLAIN = re.compile(r"[0-9+\-.eE\n]*")
 WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 #: A decimal fraction, or thousands.
 AMBIGUOUS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+", re.ASCII)
@@ -51,6 +53,8 @@ def decimal_mark(cells: Sequence[Cells], path: object) -> str:
 
     Raises ValueError where numbers are written in both ways, and where 1,234 may be a thousand.
     """
+    if not any("," in "".join([cell for _, cell in column]) for column in cells):
+        return "."
     commas = [(line, cell) for column in cells for line, cell in column if WITH_COMMA.fullmatch(cell)]
     thousands = [(line, cell) for column in cells for line, cell in column if cell.count(",") > 1]
     if not commas and not thousands:
@@ -72,6 +76,11 @@ def numbers(path: object, cells: Cells, decimal: str) -> Array:
 
     Raises ValueError for the first that is none, in a line of ``path``.
     """
+    if decimal == "." and PLAIN.fullmatch("\n".join([cell for _, cell in cells])):
+        try:
+            return np.array([float(cell) for _, cell in cells])
+        except ValueError:  # missing cells, or no number: told apart below
+            pass
     values, pattern = np.empty(len(cells)), NUMBER if decimal == "." else WITH_COMMA
     for i, (line, cell) in enumerate(cells):
         text = cell.replace("\u2212", "-")
