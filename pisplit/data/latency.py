@@ -12,8 +12,9 @@ Array = NDArray[np.float64]
 
 #: Delays are tried up to so many seconds, or so many steps where that is more; never more than this part of an episode.
 REACH, REACH_STEPS, REACH_PART = 0.3, 10, 0.25
-#: Samples of history, and principal components of the states, that the prediction starts from.
-HISTORY, COMPONENTS = 4, 6
+#: Samples of history, and principal components of the states, that the prediction starts from: so many, and fewer where
+#: there are not so many pairs for each.
+HISTORY, COMPONENTS, PAIRS_EACH = 4, 16, 40
 #: Stretches of pairs that are learned from and judged on in turn; the most pairs that are looked at.
 STRETCH, PAIRS = 10, 6_000
 #: Pairs that move by more than so many of the largest usual steps are spikes of a sensor, not motion.
@@ -22,6 +23,8 @@ SPIKE = 4.0
 ENOUGH = 0.05
 #: A delay is told only where it predicts better than the usual one by this part.
 VISIBLE = 0.02
+#: A delay that is not known to this part of what was tried is not told.
+CLEAR = 0.5
 #: Motion that its own past predicts to this residual, whatever the delay, does not show what commands do.
 ALONE = 1e-3
 
@@ -47,7 +50,7 @@ class Latency:
 
     def __str__(self) -> str:
         if self.delay is None:
-            return "not visible: at no delay do commands predict the motion better than at others"
+            return "not visible: commands predict the motion about as well at many delays"
         which = "after" if self.delay >= 0.0 else "BEFORE"
         return f"{1e3 * abs(self.delay):.3g} ms (within {1e3 * self.error:.0f} ms) {which} the commands"
 
@@ -55,7 +58,7 @@ class Latency:
 def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency:
     """Scan the delay between commands and motion: that at which a linear map predicts the next sample best.
 
-    The map takes four samples of up to six principal components of the states and the command, shifted by a delay that
+    The map takes four samples of up to 16 principal components of the states and the command, shifted by a delay that
     need not be whole steps; it is fitted to one half of the pairs and judged on the other.
 
     xs, us  states (T_i + 1, n) and inputs (T_i, m), one array an episode, row k held from sample k to k + 1
@@ -90,7 +93,8 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
         return Latency(None, np.inf, least, usual, tried)
     alike = grid[curve**2 <= least**2 * (1.0 + 40.0 / data.judged)]
     error = max(1.0 + min(1.0, 3.0 * least), float(np.abs(alike - best).max(initial=0.0)))
-    return Latency(dt * best, dt * error, least, usual, tried)
+    told = error <= max(2.0, CLEAR * reach)
+    return Latency(dt * best if told else None, dt * error if told else np.inf, least, usual, tried)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +120,7 @@ class _Pairs:
         parts: list[tuple[Array, Array, Array]] = []
         thin = max(1, len(u) // PAIRS)
         for states, inputs in zip(xs, us, strict=True):
-            z = ((states - x.mean(axis=0)) / scale) @ axes[:COMPONENTS].T
+            z = ((states - x.mean(axis=0)) / scale) @ axes[: max(2, min(COMPONENTS, len(u) // PAIRS_EACH))].T
             k = np.arange(max(HISTORY - 1, reach + 1), len(inputs) - reach - 1, thin)
             if len(k) == 0:
                 continue
