@@ -136,7 +136,7 @@ def test_folds_whose_input_direction_nothing_else_moves_are_left_out_of_the_choi
     found = table([[1.0, 1.0, 1e6], [2.0, 2.0, 1e-6]], ("", "", "+1.00 u2"))
     assert found.joint().argmin() == 0
     said = reasons(found, ["a", "b"], 0, np.ones(2, dtype=bool), 0.0)
-    assert said == ("recording 2 alone moves +1.00 u2 and nothing can be judged there; record more of it",)
+    assert said == ("pairs beside recording 2 do not move +1.00 u2, nothing can be judged there; record more of it",)
 
 
 def test_one_recording_that_decides_is_named() -> None:
@@ -149,7 +149,7 @@ def test_one_recording_that_decides_is_named() -> None:
 
 def test_a_recording_that_alone_moves_an_input_is_named_by_the_fit() -> None:
     d1 = recordings([20] * 4, noise=0.01, moved=[[0], [1], [0], [0]])
-    with pytest.warns(UserWarning, match=r"recording 1 alone moves \+1\.00 u2"):
+    with pytest.warns(UserWarning, match=r"pairs beside recording 1 do not move \+1\.00 u2"):
         LinearEDMDc(theta(), alpha="cv").fit(d1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

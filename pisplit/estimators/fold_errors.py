@@ -179,7 +179,9 @@ def reasons(found: FoldErrors, labels: Sequence[str], chosen: int, allowed: Mask
         said.append(f"{labels[chosen]} was chosen on {where}, others may differ; record more")
     for fold in found.folds:
         if fold.unseen:
-            said.append(f"{fold.name} alone moves {fold.unseen} and nothing can be judged there; record more of it")
+            said.append(
+                f"pairs beside {fold.name} do not move {fold.unseen}, nothing can be judged there; record more of it"
+            )
     limit = DECIDES**2 * (1.0 + tolerance)
     if found.telling.sum() > 1:
         for i in np.flatnonzero(found.telling):
@@ -192,7 +194,8 @@ def reasons(found: FoldErrors, labels: Sequence[str], chosen: int, allowed: Mask
         if told:
             said += told
             break
-    if found.telling.any() and found.joint()[chosen] > _geometric(found.constant[found.telling]):
+    blind = _geometric(found.constant[found.telling]) if found.telling.any() else np.inf
+    if max(blind, FLOOR) < found.joint()[chosen] < np.inf:
         said.append(
             f"{labels[chosen]} predicts held-out recordings no better than a constant; record more" + ADVICE[horizon]
         )

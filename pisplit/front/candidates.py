@@ -20,8 +20,9 @@ RIDGES = tuple(np.logspace(-10, 3, 14).tolist())
 DELAYED, POLYNOMIAL = 40, 6
 #: Costs within this part of the smallest error are worth a larger penalty: margins count in control.
 TOLERANCE = 0.1
-#: Folds for models with physics: these need little from data, and their regressions are the dear ones.
-PHYSICAL_FOLDS = 1
+#: Folds for models of data alone, and for those with physics: these need little from data, and their regressions are
+#: the dear ones.
+FOLDS, PHYSICAL_FOLDS = 3, 1
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def _data_only(name: str, kind: Any, missing: Callable[[Case], str], **more: dic
     def fit(case: Case) -> Any:
         d1 = case.d1
         theta = Dictionary(*(getattr(ob, n)(**a) for n, a in terms), n_states=d1.n_states, n_inputs=d1.n_inputs)
-        estimator = kind(theta, alpha="cv", alphas=RIDGES, cv_states=case.states, cv_tolerance=TOLERANCE)
+        estimator = kind(theta, "cv", alphas=RIDGES, cv_states=case.states, cv_tolerance=TOLERANCE, cv_folds=FOLDS)
         return estimator.fit(d1, excitation=case.excitation)
 
     shown = ", ".join(f"ob.{n}({', '.join(f'{k}={v!r}' for k, v in a.items())})" for n, a in terms)
@@ -61,9 +62,9 @@ def _data_only(name: str, kind: Any, missing: Callable[[Case], str], **more: dic
     n_states=d1.n_states, n_inputs=d1.n_inputs,
 )
 ridges = np.logspace(-10, 3, 14).tolist()
-model = {kind.__name__}(theta, alpha="cv", alphas=ridges, cv_states=states, cv_tolerance={TOLERANCE}).fit(
-    d1, excitation=excitation
-)"""
+model = {kind.__name__}(
+    theta, alpha="cv", alphas=ridges, cv_states=states, cv_tolerance={TOLERANCE}, cv_folds={FOLDS}
+).fit(d1, excitation=excitation)"""
     return Candidate(name, missing, fit, code)
 
 
