@@ -174,6 +174,25 @@ def test_commands_of_a_controller_do_not_look_early(explored: float, noise: floa
     assert found.delay is not None and abs(found.delay) <= found.error <= 2.0 * DT
 
 
+def test_a_counter_of_frames_is_no_unit_of_commands(tmp_path: Path) -> None:
+    x, u = swing()
+    frames = [f"{k},{a!r},{b!r}" for k, (a, b) in enumerate(x.tolist())]
+    (tmp_path / "run.csv").write_text("\n".join(["t,x,v", *frames]))
+    for scale in (1.0, 1e3):
+        sent = [f"{scale * DT * k:.6f},{float(u[k, 0])!r}" for k in range(N)]
+        (tmp_path / "servo.csv").write_text("\n".join(["stamp,pull", *sent]))
+        ask = {
+            **ASK,
+            "time_unit": DT,
+            "commands": tmp_path / "servo.csv",
+            "command_time_unit": "ms" if scale > 1 else None,
+        }
+        found = Episodes.from_csv(tmp_path / "run.csv", **ask)
+        np.testing.assert_allclose(found.us[0], u[:-1], atol=1e-6)
+    with pytest.warns(UserWarning, match="are its times in another unit. give command_time_unit"):
+        Episodes.from_csv(tmp_path / "run.csv", **{**ask, "command_time_unit": "us"})
+
+
 def test_of_commands_of_one_time_the_last_counts(tmp_path: Path) -> None:
     _, u = written(tmp_path)
     head, *rows = (tmp_path / "servo0.csv").read_text().splitlines()

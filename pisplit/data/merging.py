@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: A log of commands is steady if nine of ten spacings are at most so many times the median; pauses are longer by this.
 STEADY, PAUSE = 1.5, 10.0
+#: Commands that all come within this part of the time of the sensors have another unit.
+BRIEF = 0.1
 
 
 def from_two_clocks(
@@ -27,14 +29,15 @@ def from_two_clocks(
     commands: Sequence[Table],
     states: Sequence[str],
     inputs: Sequence[str],
-    command_shift: float | None,
+    told: tuple[str | float | None, float | None],
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Fields of Episodes of ``sensors`` with columns ``states`` and of ``commands`` with columns ``inputs``.
 
-    command_shift  [s] that is added to the times of the commands; None: what the data tell, if the motion comes before
-                   its commands; what is found is warned of
-    options        as in :func:`pisplit.data.recordings.from_arrays`
+    told     unit of the times of commands where their files name none (None: that of the sensors if it is a text, or
+             s), and what is added to them [s] (None: what the data tell, if the motion comes before its commands, which
+             is warned of)
+    options  as in :func:`pisplit.data.recordings.from_arrays`
 
     Each file of sensors goes with the file of commands of the same place in the list, or with the only one. Commands
     hold from their time to the next. Raises ValueError, in one line, for other numbers of files, clocks that have no
@@ -51,24 +54,25 @@ def from_two_clocks(
     paired = list(commands) * len(sensors) if len(commands) == 1 else list(commands)
     plain = {key: value for key, value in options.items() if key not in ("time_unit", "ranges")}
     unit = options.get("time_unit")
-    told = None if command_shift is None else finite_number(command_shift, "command_shift")
+    units = unit, told[0] if told[0] is not None else unit if isinstance(unit, str) else None
+    known = None if told[1] is None else finite_number(told[1], "command_shift")
 
     def fields(shift: float, more: Mapping[str, Any]) -> dict[str, Any]:
-        merged = [_merged(s, c, unit, shift) for s, c in zip(sensors, paired, strict=True)]
+        merged = [_merged(s, c, units, shift) for s, c in zip(sensors, paired, strict=True)]
         return from_columns(merged, states, inputs, {**plain, **more})
 
     ranges = {"ranges": options["ranges"]} if "ranges" in options else {}
-    first = fields(told or 0.0, ranges)
+    first = fields(known or 0.0, ranges)
     latency = find_latency(first["xs"], first["us"], first["dt"])
-    shift, text = (told, None) if told is not None else _shift(latency, first["dt"])
-    found = first if shift == (told or 0.0) else _silently(lambda: fields(shift, ranges))
+    shift, text = (known, None) if known is not None else _shift(latency, first["dt"])
+    found = first if shift == (known or 0.0) else _silently(lambda: fields(shift, ranges))
     if text:
         warn(text)
     found["provenance"].pop("incomplete_samples")  # rows of both clocks: most have no command
     found["provenance"] |= {
         "commands": [c.source for c in commands],
         "command_shift": shift,
-        "latency": None if latency.delay is None else latency.delay + (told or 0.0) - shift,
+        "latency": None if latency.delay is None else latency.delay + (known or 0.0) - shift,
         "latency_error": latency.error if math.isfinite(latency.error) else None,
     }
     return found
@@ -101,11 +105,11 @@ def _silently(made: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return made()
 
 
-def _merged(sensors: Table, commands: Table, time_unit: Any, shift: float) -> Table:
+def _merged(sensors: Table, commands: Table, units: tuple[Any, Any], shift: float) -> Table:
     """One table of both: states where sensors were read, inputs where commands were sent."""
     t, s = clock.together(
-        (sensors.times, sensors.clock or time_unit, sensors.source),
-        (commands.times, commands.clock or time_unit, commands.source),
+        (sensors.times, sensors.clock or units[0], sensors.source),
+        (commands.times, commands.clock or units[1], commands.source),
     )
     s = s + shift
     read, sent = np.flatnonzero(np.isfinite(t)), np.flatnonzero(np.isfinite(s))
@@ -138,6 +142,12 @@ def _merged(sensors: Table, commands: Table, time_unit: Any, shift: float) -> Ta
 
 def _say_where_commands_end(sensors: Table, commands: Table, t: Array, s: Array) -> None:
     """Say where a log of commands at a steady rate stops or pauses; one that is written at changes may end any time."""
+    if len(s) >= 10 and np.ptp(s) < BRIEF * np.ptp(t):
+        warn(
+            f"all {len(s)} commands of {commands.source} come within {np.ptp(s):.3g} s, {sensors.source} takes "
+            f"{np.ptp(t):.3g} s: are its times in another unit? give command_time_unit"
+        )
+        return
     steps = np.diff(s[(s >= t.min()) & (s <= t.max())])
     if len(steps) < 10 or np.quantile(steps, 0.9) > STEADY * np.median(steps):
         return

@@ -32,6 +32,7 @@ def from_csv(
     encoding: str | None = None,
     commands: Paths | None = None,
     command_time: str | Sequence[str] | None = None,
+    command_time_unit: str | float | None = None,
     command_shift: float | None = None,
     **options: Any,
 ) -> dict[str, Any]:
@@ -50,6 +51,8 @@ def from_csv(
     commands        files of the inputs, where these have a clock of their own: one for each file of ``path``, or one
                     for all. They hold from their time to the next, and are brought to the steps of the sensors
     command_time    name of the column of times there; default: that of ``time``
+    command_time_unit   unit of the times there, where their file names none; default: ``time_unit`` if that is a text,
+                    or s
     command_shift   [s] that is added to the times of commands; default: found from the data where the motion comes
                     before its commands; how far it follows them is warned of, and stands in ``provenance``
     options         as in :func:`pisplit.data.recordings.from_arrays`. Units that the file names, in brackets behind a
@@ -82,9 +85,10 @@ def from_csv(
         more = (delimiter, None, decimal, encoding)
         sensors = [table(file, clock, groups[0], episode, delimiter, names, decimal, encoding) for file in files]
         sent = [table(file, other, groups[1], None, *more) for file in files_of(commands)]
-        return merging.from_two_clocks(sensors, sent, groups[0], groups[1], command_shift, options)
-    if command_time is not None or command_shift is not None:
-        raise ValueError("command_time and command_shift are of commands in files of their own; give commands=")
+        told = (command_time_unit, command_shift)
+        return merging.from_two_clocks(sensors, sent, groups[0], groups[1], told, options)
+    if any(given is not None for given in (command_time, command_time_unit, command_shift)):
+        raise ValueError("command_time, _time_unit and _shift are of commands in files of their own; give commands=")
     read = [
         table(file, clock, [*groups[0], *groups[1]], episode, delimiter, names, decimal, encoding) for file in files
     ]
