@@ -49,10 +49,11 @@ def strip() -> Any:
 
 
 def slack() -> Any:
-    """Tensions of the paper's arm at rest while one tendon is pulled and the others let out by half as much:
-    beyond some displacement a tendon hangs loose, which makes the arm nonlinear in its inputs.
+    """Tensions of the prototype, whose tendons are weak and not pretensioned, at rest while one is pulled and the
+    others are let out by half as much, and back: let out, a tendon hangs loose, and the arm is no longer linear
+    in its inputs.
     """
-    arm = _paper()
+    arm = TendonArm.prototype(4)
     pulled = np.linspace(-10e-3, 10e-3, 81)
     inputs = arm.rest_inputs + pulled[:, None] * np.array([1.0, -0.5, -0.5])
     found = arm.scene.statics().solve_many(inputs)
@@ -60,7 +61,7 @@ def slack() -> Any:
     axis: Any = figure.subplots()
     for i, style in enumerate(("-", "--", ":")):
         axis.plot(1e3 * pulled, found.tensions[:, i], style, lw=1.8, label=f"tendon {i + 1}")
-    axis.set(xlabel="displacement of tendon 1 beyond rest (mm)", ylabel="tension (N)", title="slack")
+    axis.set(xlabel="displacement of tendon 1 (mm)", ylabel="tension (N)", title="slack")
     below(axis)
     tidy(axis)
     return figure

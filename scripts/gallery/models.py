@@ -34,8 +34,9 @@ def _fitted() -> ps.LinearEDMDc:
 
 
 def phase_portrait() -> Any:
-    """Free motions of the Duffing oscillator with two wells (grey) and roll-outs of six seconds of a model with
-    monomials up to degree five, from the same starts (blue).
+    """Free motions of the Duffing oscillator with two wells (grey) and roll-outs of six seconds of a linear model
+    with monomials up to degree five, from the same starts (blue). A linear model cannot hold two wells: inner
+    starts end in the wrong place.
     """
     spring = systems.duffing()
     draws = [np.random.default_rng(k) for k in range(60)]
@@ -59,8 +60,8 @@ def phase_portrait() -> Any:
 
 def eigenvalues_to_believe() -> Any:
     """Eigenvalues of the generator of the slow manifold on monomials up to degree four, coloured by their
-    residuals (`generator_spectrum(...).plot()`): dark ones are eigenvalues of the system, light ones of the
-    dictionary.
+    residuals (`generator_spectrum(...).plot()`): at 0 there is an eigenfunction of the system, light ones
+    belong to the dictionary.
     """
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (600, 2))
     samples = ps.PhaseSamples.from_system(systems.slow_manifold(), x, np.zeros((600, 1)))
@@ -80,7 +81,8 @@ def known_half_step() -> Any:
 
 def learning_curves() -> Any:
     """Median error of roll-outs over the number of recorded pairs, five draws: EDMDc, and the split in which the
-    spring is known and only the input is learned (`learning_curve(...).plot()`).
+    spring is known and only the input is learned (`learning_curve(...).plot()`). With few pairs the split is
+    ahead; with many its bias shows, for cubic monomials are not closed under the spring.
     """
     spring = systems.duffing(stiffness=1.0)
     x = np.random.default_rng(1).uniform(-1.5, 1.5, (500, 2))
