@@ -199,8 +199,17 @@ def headers_of_all_kinds() -> list[File]:
 
 
 def vicon() -> str:
-    head = "Trajectories\n100\n,,arm:tip,,,arm:base,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n,,mm,mm,mm,mm,mm,mm\n"
+    head = "Trajectories\n100\n,,arm:tip,,,arm:base,,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n,,mm,mm,mm,mm,mm,mm\n"
     return head + "".join(f"{k + 1},0,{','.join(f'{1e3 * v:.3f}' for v in X[k])}\n" for k in range(N))
+
+
+def sections(first: bool) -> str:
+    """Vicon's file with the forces of a plate before the markers, or angles after them, each with its own head."""
+    rows = "".join(f"{k + 1},0,1.5,{k},3\n" for k in range(250))
+    other = "{0}\n1000\n,,{1},,,\nFrame,Sub Frame,X,Y,Z\n,,{2},{2},{2}\n" + rows
+    if first:
+        return other.format("Devices", "plate", "N") + "\n" + vicon()
+    return vicon() + "\n" + other.format("Model Outputs", "angle", "deg")
 
 
 def optitrack(header: bool = True) -> str:
@@ -237,6 +246,19 @@ def trackers() -> list[File]:
     field_ = ["field.x", "field.y"]
     return [
         File("Vicon", vicon(), {**six, "time": "Frame", "time_unit": DT}, **all_six),
+        File(
+            "Vicon behind force plates",
+            sections(True),
+            {**six, "time": "Frame", "time_unit": DT},
+            **all_six,
+        ),
+        File(
+            "Vicon before model outputs",
+            sections(False),
+            {**six, "time": "Frame", "time_unit": DT},
+            warned="another table begins at line 157; what follows is left out",
+            **all_six,
+        ),
         File("Vicon, rate told", vicon(), {**six, "time": None, "dt": DT}, **all_six),
         File("OptiTrack", optitrack(), {**six, "time": "Time"}, **all_six),
         File(

@@ -72,15 +72,15 @@ class Header:
         return unit
 
 
-def header_of(rows: Sequence[Row], wanted: Sequence[str]) -> tuple[Header, bool]:
-    """The header among the first ``rows`` of a table, and whether it has each of the ``wanted`` names once.
+def header_of(rows: Sequence[Row], wanted: Sequence[str], limit: int | None = TOP) -> tuple[Header, bool]:
+    """The header among the first ``limit`` ``rows`` of a table, and whether it has each of the ``wanted`` names once.
 
     Where none has, that which has most of them, or looks most like a header.
     """
     best, score = Header((), 0), -1
-    for at, (line, row) in enumerate(rows[:TOP]):
+    for at, (line, row) in enumerate(rows[:limit]):
         cells = _plain(row)
-        if not any(cells) or all(is_number(cell) for cell in cells if cell):
+        if not any(cells) or is_number(next(filter(None, cells))) or all(is_number(cell) for cell in cells if cell):
             continue
         found = Header(_stacked(rows, at, cells), line, _units(rows, at, cells))
         hits = [len(found.find(name)) for name in wanted]
@@ -119,11 +119,17 @@ def _plain(row: Sequence[str]) -> list[str]:
 
 
 def _stacked(rows: Sequence[Row], at: int, cells: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Words of every column: those of the rows above of the same length, which reach to the next word, and its own."""
+    """Words of every column: those of the rows above, each of which reaches to the next word, and its own.
+
+    Rows above are as long, or begin with an empty cell and are not longer but for empty cells, as Vicon writes them.
+    """
     above: list[list[str]] = []
     for _, row in reversed(rows[max(0, at - ROWS) : at]):
-        if len(row) != len(cells) or len(row) < 2 or not any(cell and not is_number(cell) for cell in row):
+        used = len(row) - next((i for i, cell in enumerate(reversed(row)) if cell), len(row))
+        alike = len(row) == len(cells) or (len(row) > 1 and not row[0] and used <= len(cells))
+        if not alike or len(row) < 2 or not any(cell and not is_number(cell) for cell in row):
             break
+        row = [*row, *[""] * len(cells)][: len(cells)]
         reaching, last = [], ""
         for cell in row:
             last = cell or last

@@ -13,6 +13,7 @@ from pisplit.data import cells, headers, merging
 from pisplit.data.joining import Table, from_columns
 from pisplit.data.patterns import Paths, files_of
 from pisplit.data.text import DELIMITERS, rows_of, text_of
+from pisplit.data.warning import warn
 
 #: Lines that tell the delimiter.
 TOP = 200
@@ -174,10 +175,14 @@ def _header(
         if complete:
             return header, mark
         width = max((len(row) for _, row in rows[:20]), default=0)
-        tried.append((sum(bool(header.find(name)) for name in wanted), width, header, rows))
+        tried.append((sum(bool(header.find(name)) for name in wanted), width, header, rows, mark))
     if not tried:
         raise ValueError(f"{path} is no table of text; save it as CSV")
-    _, _, header, rows = max(tried, key=lambda each: each[:2])
+    _, _, header, rows, mark = max(tried, key=lambda each: each[:2])
+    if names is None and len(rows) == TOP:  # further down, behind another table
+        later, complete = headers.header_of(list(rows_of(text, mark)), wanted, None)
+        if complete:
+            return later, mark
     raise ValueError(_fault(path, header, rows, wanted, names))
 
 
@@ -215,11 +220,16 @@ def _samples(
     size = len(header.columns)
     found: list[tuple[int, list[str]]] = []
     names = [header.columns[i][-1] for i in where]
+    blank = False
     last = -1 if text.endswith(("\n", "\r")) else len(text.splitlines())
     try:
         for line, row in rows_of(text, mark):
+            before, blank = blank, not row
             if line <= header.line or not row or (row[0].startswith("#") and not cells.is_missing(row[0])):
                 continue
+            if found and before and sum(map(bool, row)) == 1 and not any(cells.is_cell(cell) for cell in row if cell):
+                warn(f"{path.name}: another table begins at line {line}; what follows is left out")
+                break
             if any(row[size:]):
                 raise ValueError(f"{path}, line {line} has {len(row)} cells; the header has {size}")
             if line == last and len(row) < size:
