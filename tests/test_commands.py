@@ -75,6 +75,23 @@ def test_a_saved_model_tracks_an_arm(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert page.stat().st_size < 5e6 and "http" not in text and "<link" not in text and "src=" not in text
 
 
+def test_bench_tells_times_beside_errors(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from pisplit.front import bench
+
+    monkeypatch.setattr(bench, "NODES", (3, 5))
+    monkeypatch.setattr(bench, "TRUTH", 7)
+    monkeypatch.setattr(bench, "MOVING", 3)
+    assert main(["bench", "--steps", "30", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["measured"]
+    error = {row["what"]: row["error"] for row in rows}
+    coarse, fine = [e for what, e in error.items() if "equilibrium" in what]
+    assert fine < 0.1 * coarse  # exponential in the nodes
+    loose, tight = (next(e for what, e in error.items() if text in what) for text in ("rtol 1e-4", "rtol 1e-6"))
+    assert tight < loose < 1e-2
+    assert all(row["milliseconds"] > 0.0 for row in rows) and rows[-1]["error"] is None
+    assert main(["bench", "--steps", "3"]) == 1
+
+
 def test_the_program_is_there() -> None:
     run = [sys.executable, "-m", "pisplit.front.commands", "--version"]
     done = subprocess.run(run, capture_output=True, text=True, env=dict(os.environ))

@@ -1,4 +1,4 @@
-"""The command line: ``pisplit record``, ``identify``, ``report``, ``track``, ``export``, ``demo``; words as in Python.
+"""The command line: ``pisplit record``, ``identify``, ``report``, ``track``, ``export``, ``bench``, ``demo``.
 
 Exit codes: 0 done, 1 the data or files do not allow it (said in one line), 2 wrong arguments, 3 a loop that stopped.
 """
@@ -75,6 +75,9 @@ def parser() -> argparse.ArgumentParser:
     demo = command("demo", _demo, "the five lines of the README: record, identify, track; pictures and a page")
     demo.add_argument("--quick", action="store_true", help="fewer recordings and models")
     demo.add_argument("--out", type=Path, default=Path("out/five-lines"), help="folder of the pictures")
+    timed = command("bench", _bench, "times beside errors on this machine, in a minute: statics, motion, a fit, MPC")
+    timed.add_argument("--steps", type=int, default=60, help="of each motion and loop")
+    timed.add_argument("--seed", type=int, default=0)
     for one in (record, fit, track, demo):
         one.add_argument("--arm", choices=ARMS, default=None if one is fit else "paper", help="a simulated arm")
     return made
@@ -151,6 +154,18 @@ def _export(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
     to_c_header(model, given.c)
     _say(given, f"{model.n_lifted} lifted states, {model.n_inputs} inputs in {given.c}")
     return {"out": str(given.c), "n_lifted": model.n_lifted, "n_inputs": model.n_inputs}, 0
+
+
+def _bench(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
+    import os
+    import platform
+
+    from pisplit.front.bench import bench
+
+    found = bench(given.steps, given.seed)
+    _say(given, "\n".join(map(str, found)))
+    machine = {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
+    return {"pisplit": __version__, "machine": machine, "measured": [m.as_dict() for m in found]}, 0
 
 
 def _demo(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
