@@ -1,4 +1,4 @@
-"""Long runs in blocks: parallel, resumable, every finished block on disk."""
+"""Long runs in blocks: parallel, resumable, every finished block on disk, on one machine or on many."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import json
 import logging
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import joblib
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from pisplit.checks import count
 from pisplit.data import store
 
 Block = dict[str, NDArray[Any]]
+
+Result = TypeVar("Result")
 
 KIND = "pisplit/block"
 
@@ -40,32 +42,41 @@ def run_blocks(
 
     Args:
         task: the work of a block: its number -> arrays of numbers or texts by name. It must depend on nothing else, so
-            that results do not depend on ``workers``.
+            that results do not depend on ``workers``, and write nothing: its result travels back to this process.
         n_blocks: number of blocks; a finished run goes on from fewer to more.
         folder: where the blocks are kept, made if it is missing.
         identity: JSON-able facts that decide what ``task`` computes (seed, arm, ...); every block holds them.
         workers: processes; -1 = one a core. Any joblib backend that is set by ``joblib.parallel_config`` is used, so
-            the same run can go to a cluster.
+            the same run can go to a cluster (docs/cluster.md), whose machines need not see ``folder``.
         label: text before the progress bar.
         progress: whether to show it.
 
     Raises ValueError in one line if the folder holds blocks of a run with another identity, or cannot be written.
     """
     count(n_blocks, "n_blocks")
-    place = Path(folder).resolve()  # a worker may stand in another folder
+    place = Path(folder).resolve()
     origin = json.dumps(identity, sort_keys=True)
     _claim(place, origin)
     blocks = {k: block for k in range(n_blocks) if (block := _read(place, k, origin)) is not None}
     todo = [k for k in range(n_blocks) if k not in blocks]
-    jobs = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")(
-        joblib.delayed(_compute)(task, k, place, origin) for k in todo
-    )
-    for _ in tqdm(jobs, desc=label, total=n_blocks, initial=len(blocks), disable=not progress, unit="block"):
-        pass
+    jobs = unordered(task, todo, workers)
+    for k, block in tqdm(jobs, desc=label, total=n_blocks, initial=len(blocks), disable=not progress, unit="block"):
+        _write(place, k, origin, block)
     for k in todo:
         with store.reading(_file(place, k), KIND) as file:
             blocks[k] = store.read_arrays(file["arrays"])
     return [blocks[k] for k in range(n_blocks)]
+
+
+def unordered(task: Callable[[int], Result], numbers: Iterable[int], workers: int = -1) -> Iterator[tuple[int, Result]]:
+    """Pairs (k, task(k)) of all ``numbers`` k, as soon as each is done.
+
+    ``task`` runs in ``workers`` processes, -1 = one a core, or wherever the backend of ``joblib.parallel_config`` is;
+    this process alone sees the results, and is the one to keep them. An error of a task is raised here.
+    """
+    jobs = (joblib.delayed(_numbered)(task, k) for k in numbers)
+    found: Iterator[tuple[int, Result]] = joblib.Parallel(n_jobs=workers, return_as="generator_unordered")(jobs)
+    return found
 
 
 def discard_blocks(folder: str | os.PathLike[str]) -> None:
@@ -77,13 +88,15 @@ def _file(place: Path, k: int) -> Path:
     return place / f"{k:06d}.h5"
 
 
-def _compute(task: Callable[[int], Block], k: int, place: Path, origin: str) -> int:
-    block = task(k)
+def _numbered(task: Callable[[int], Result], k: int) -> tuple[int, Result]:
+    return k, task(k)
+
+
+def _write(place: Path, k: int, origin: str, block: Block) -> None:
     with store.writing(_file(place, k), KIND) as file:
         file.attrs["number"] = k
         store.write_text(file, "origin", origin)
         store.write_arrays(file.create_group("arrays", track_order=True), block)
-    return k
 
 
 def _read(place: Path, k: int, origin: str) -> Block | None:

@@ -1,18 +1,15 @@
-"""Cells of a protocol: law x method x |D1| x |D2| x seed, in parallel, each on disk as soon as it is there."""
+"""Cells of a protocol: law x method x |D1| x |D2| x seed, in parallel, on disk as soon as a chain of them is there."""
 
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
-import joblib
 import numpy as np
 from tqdm import tqdm
 
@@ -20,6 +17,7 @@ from common.data import PaperData
 from common.protocol import Draw, Errors, Method, all_pairs, evaluate, random_pairs
 from pisplit import PhaseSamples
 from pisplit.data import store
+from pisplit.models.arm.blocks import unordered
 
 KIND = "pisplit/cell"
 
@@ -60,20 +58,27 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Chain:
-    """Cells of one law, method and seed, by growing n1: nested draws share their moments."""
+    """Cells of one law, method and seed that are not on disk, by growing n1: nested draws share their moments."""
 
     source: Source
     method: Method
     cells: tuple[Cell, ...]
-    folder: Path
 
-    def __call__(self) -> int:
-        """Fit and evaluate what is not on disk; returns the number of cells."""
+    def __call__(self) -> list[Result]:
+        """Fit and evaluate."""
         data = _data(self.source)
-        for cell in self.cells:
-            if not _finished(cell, self.folder):
-                write(cell, self.folder, run_cell(cell, self.method, data))
-        return len(self.cells)
+        return [run_cell(cell, self.method, data) for cell in self.cells]
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Chains by their numbers, as a task of blocks."""
+
+    chains: tuple[Chain, ...]
+
+    def __call__(self, k: int) -> list[Result]:
+        """Results of the chain ``k``."""
+        return self.chains[k]()
 
 
 def run_cell(cell: Cell, method: Method, data: PaperData) -> Result:
@@ -101,39 +106,25 @@ def run_cells(
 ) -> dict[Cell, Result]:
     """Results of all cells. Those on disk are read, if they were made with the same ``settings``.
 
-    Raises ValueError for a folder of other settings. Results do not depend on ``workers``.
+    Workers fit and evaluate, this process writes: where they are on other machines (docs/cluster.md), they need to see
+    the data that ``sources`` name, not ``folder``. Raises ValueError for a folder of other settings. Results do not
+    depend on ``workers``.
     """
     claim(folder, settings)
     by_name = {method.name: method for method in methods}
     groups: dict[tuple[str, str, int], list[Cell]] = {}
     for cell in sorted(cells, key=lambda c: (c.n1, c.n2)):
-        groups.setdefault((cell.law, cell.method, cell.seed), []).append(cell)
-    chains = [Chain(sources[law], by_name[name], tuple(group), folder) for (law, name, _), group in groups.items()]
+        if not _finished(cell, folder):
+            groups.setdefault((cell.law, cell.method, cell.seed), []).append(cell)
+    chains = [Chain(sources[law], by_name[name], tuple(group)) for (law, name, _), group in groups.items()]
     chains.sort(key=lambda chain: -sum(cell.n1 for cell in chain.cells))  # long ones first
-    todo = [c for c in chains if not all(_finished(cell, folder) for cell in c.cells)]
-    paths = [cell.path(folder) for chain in todo for cell in chain.cells]
-    with tqdm(total=len(paths), desc=folder.name, disable=not progress, unit="fit") as bar, _counting(paths, bar):
-        joblib.Parallel(n_jobs=workers)(joblib.delayed(chain)() for chain in todo)
+    total = sum(len(chain.cells) for chain in chains)
+    with tqdm(total=total, desc=folder.name, disable=not progress, unit="fit") as bar:
+        for k, results in unordered(Chains(tuple(chains)), range(len(chains)), workers):
+            for cell, result in zip(chains[k].cells, results, strict=True):
+                write(cell, folder, result)
+            bar.update(len(results))
     return {cell: read(cell, folder) for cell in cells}
-
-
-@contextmanager
-def _counting(paths: Sequence[Path], bar: tqdm[Any]) -> Iterator[None]:
-    """Move the bar by the files that are there: a chain of fits is over after minutes, its fits after seconds."""
-    over = threading.Event()
-
-    def count() -> None:
-        while not over.wait(1.0):
-            bar.update(sum(path.exists() for path in paths) - bar.n)
-
-    counter = threading.Thread(target=count, daemon=True)
-    counter.start()
-    try:
-        yield
-    finally:
-        over.set()
-        counter.join()
-        bar.update(sum(path.exists() for path in paths) - bar.n)
 
 
 def curve_cells(laws: Sequence[str], methods: Sequence[str], sizes: Mapping[int, int], n2: int) -> Iterator[Cell]:
