@@ -204,3 +204,15 @@ def test_changelog_and_citation_know_the_version() -> None:
     root = Path(__file__).resolve().parent.parent
     assert f"\n## {pisplit.__version__}\n" in (root / "CHANGELOG.md").read_text()
     assert f"\nversion: {pisplit.__version__}\n" in (root / "CITATION.cff").read_text()
+
+
+def test_the_first_equilibrium_of_a_process_loads_nothing_that_it_does_not_use() -> None:
+    code = (
+        "import sys\n"
+        "from pisplit.models.arm.tendon_arm import TendonArm\n"
+        "assert TendonArm.paper().scene.statics().solve([0.01, -0.005, -0.005]).success\n"
+        "unused = ('scipy.interpolate', 'scipy.optimize', 'scipy.spatial', 'cvxpy', 'matplotlib', 'osqp', 'PIL')\n"
+        "print([m for m in unused if m in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"

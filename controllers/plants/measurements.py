@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from pisplit.checks import Array, count, finite_array, non_negative, positive
 from pisplit.controllers.loop.history import Line
@@ -76,6 +75,8 @@ class NoisyMeasurements(_Random):
         return found
 
     def _measured(self, state: Array) -> Array:
+        from scipy.spatial.transform import Rotation  # slow to load, and needed here alone
+
         state += self.std * self._rng.standard_normal(self.n_states)
         for frame in self._frames:
             turn = Rotation.from_rotvec(self.angle * self._rng.standard_normal(3)).as_matrix()

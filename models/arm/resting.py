@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pisplit import Episodes
 from pisplit.checks import Array, count, finite_array, non_negative, positive
@@ -128,5 +127,7 @@ def turned(frames: Array, angle: float, rng: np.random.Generator) -> Array:
 
     ``rng`` draws; rotations stay rotations.
     """
+    from scipy.spatial.transform import Rotation  # slow to load, and needed here alone
+
     turns = Rotation.from_rotvec(angle * rng.standard_normal((frames[..., 0].size, 3))).as_matrix()
     return np.asarray((frames.reshape(-1, 3, 3) @ turns).reshape(frames.shape))

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from pisplit.checks import Array, count, finite_array, positive, real_array
 from pisplit.models.arm.tendon_arm import TendonArm
@@ -144,6 +143,8 @@ class EquilibriumTable:
 
         Gauss-Newton from differential moves ``guess`` (2,); the nearest point where the tip cannot get there.
         """
+        from scipy.optimize import least_squares  # slow to load, and needed here alone
+
         wanted = _target(target)
         given = np.flatnonzero(np.isfinite(wanted))
         rows = len(self.names) - 3 + given

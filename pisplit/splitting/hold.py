@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from pisplit.checks import finite_array
 from pisplit.generator import generator_edmd, spectral_radius
@@ -125,6 +124,8 @@ class Hold:
 
     def _identify(self, k_f: KnownRates, a: Array, y: Array) -> Array:
         """H (r, q) that minimises the one-step residual, from H = 0 (the known physics) by least squares."""
+        from scipy.optimize import least_squares  # slow to load, and needed here alone
+
         shape = (self.ports.shape[1], self.deviation.shape[0])
         unit = self._load_unit(k_f)
 

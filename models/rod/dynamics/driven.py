@@ -7,7 +7,6 @@ from functools import cache
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from pisplit.checks import Array, finite_array, positive
 
@@ -26,6 +25,8 @@ def tip_commands(dt: float, position: ArrayLike, rotation: ArrayLike | None = No
 
     Raises ValueError for paths of other shapes, or of fewer than two rows.
     """
+    from scipy.interpolate import CubicSpline  # slow to load, and needed here alone
+
     step = positive(dt, "dt", "s")
     places = finite_array(position, "position", (None, 3))
     if len(places) < 2:

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
-from scipy.spatial.transform import Rotation
 
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.sharing import Rebuilt
@@ -28,6 +27,7 @@ from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from scipy.spatial.transform import Rotation
 
     from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.statics.search import Search
@@ -97,8 +97,9 @@ class Journey:
 
     def at(self, t: float) -> Array:
         """Position and columns of the rotation (12,) at ``t``, 0 at the start and 1 at the goal."""
-        spun = Rotation.from_rotvec([0.0, 0.0, 2.0 * np.pi * self.turns * t])
-        now = (self.frame * Rotation.from_rotvec(t * self.turn) * spun).as_matrix()
+        turned = _rotation().from_rotvec
+        spun = turned([0.0, 0.0, 2.0 * np.pi * self.turns * t])
+        now = (self.frame * turned(t * self.turn) * spun).as_matrix()
         return np.concatenate([self.start + t * (self.goal - self.start), now.ravel(order="F")])
 
 
@@ -184,7 +185,7 @@ class FixedTip(Rebuilt):
         n = self.scene.n_strains
         state = np.concatenate([self._search.strains(self.whitened.unknowns(y[:n])), np.zeros(n), u])
         fields = self.scene.fields(state, [self.scene.rod.length])[0]
-        return fields[:3], Rotation.from_matrix(fields[3:12].reshape(3, 3))
+        return fields[:3], _rotation().from_matrix(fields[3:12].reshape(3, 3))
 
     def _held(self, y: Array, u: Array) -> tuple[Array, float]:
         """Unknowns at the strains ``y`` with the multipliers that hold them best, and the force that is left."""
@@ -321,4 +322,11 @@ def checked_rotation(rotation: ArrayLike) -> Rotation:
     wanted = finite_array(rotation, "rotation", (3, 3))
     if np.abs(wanted @ wanted.T - np.eye(3)).max() > 1e-6 or np.linalg.det(wanted) < 0.0:
         raise ValueError("rotation is not a rotation matrix; give R with R R^T = I and det R = 1")
-    return Rotation.from_matrix(wanted)
+    return _rotation().from_matrix(wanted)
+
+
+def _rotation() -> type[Rotation]:
+    """Rotations of scipy, which are slow to load, and needed where a tip is held alone."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation

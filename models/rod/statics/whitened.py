@@ -63,10 +63,8 @@ class Whitened(Rebuilt):
     @cached_property
     def _balance(self) -> ca.Function:
         """``(x, u) -> residual, dr/dx``."""
-        x, u, load, residual = self.search.graph
-        residual = ca.substitute(residual, load, ca.SX(1))
-        slopes = ca.densify(ca.jacobian(residual, x))
-        return ca.Function("balance", [x, u], [residual, slopes], {"cse": True})
+        (x, u), (residual,) = self.search.loaded
+        return ca.Function("balance", [x, u], [residual, ca.densify(ca.jacobian(residual, x))])
 
     @cached_property
     def _buffered(self) -> tuple[Any, Array, Array, Array, Array]:
