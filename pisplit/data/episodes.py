@@ -296,9 +296,22 @@ class Episodes:
         episode_files.write(path, {field.name: getattr(self, field.name) for field in fields(self)})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Episodes:
-        """Read episodes saved at ``path``. One line for files that are missing, damaged, foreign or of another kind."""
-        return cls(**episode_files.read(path))
+    def load(cls, path: str | os.PathLike[str], mapped: bool = False) -> Episodes:
+        """Read episodes saved at ``path``. One line for files that are missing, damaged, foreign or of another kind.
+
+        ``mapped``: states and inputs stay in the file, which may be larger than memory, and which must not be changed
+        meanwhile; what walks through pairs in blocks, as fits with a given alpha do, holds one block of them.
+        """
+        return cls(**episode_files.read(path, mapped))
+
+    @staticmethod
+    def join(paths: Sequence[str | os.PathLike[str]], path: str | os.PathLike[str]) -> None:
+        """Write the episodes of the files ``paths``, in this order, to one file ``path``, holding little in memory.
+
+        Provenance is a list of theirs under "joined". Raises ValueError if there is none, and if time step, names,
+        units, quantities, output groups or extra arrays differ.
+        """
+        episode_files.join(paths, path)
 
     @classmethod
     def from_system(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import count
+from pisplit.data.mapped import release
 from pisplit.data.rows import frozen, refrozen
 
 Array = NDArray[np.float64]
@@ -105,9 +106,11 @@ class Pairs:
         return self.take(np.sort(np.random.default_rng(seed).choice(len(self), size, replace=False)))
 
     def blocks(self, size: int = 4096) -> Iterator[Pairs]:
-        """The pairs in order, at most ``size`` at a time."""
+        """The pairs in order, at most ``size`` at a time; of a mapped file, no more stays in memory."""
         for first in range(0, len(self), size):
             yield self.take(np.arange(first, min(first + size, len(self))))
+            release(self.states)
+            release(self.inputs)
 
 
 def all_pairs(states: Array, inputs: Array, steps: Sequence[int], n_delays: int) -> Pairs:

@@ -9,11 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.data.mapped import is_mapped
+
 Array = NDArray[np.float64]
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """``array`` as a read-only array that shares no memory a caller could write to; copied unless it is one already."""
+    """``array`` as a read-only array that shares no memory a caller could write to.
+
+    It is copied unless it is one already, or a file that is mapped.
+    """
+    if not array.flags.writeable and is_mapped(array):
+        return array
     owner = array if array.base is None else array.base
     if not array.flags.writeable and type(owner) is np.ndarray and owner.base is None and not owner.flags.writeable:
         return array
