@@ -12,6 +12,7 @@ from pisplit.controllers.loop.tracking import Controller, Move
 from pisplit.controllers.mpc.condense import Condensed, condense
 from pisplit.controllers.mpc.mpc import MPC
 from pisplit.controllers.mpc.qp import QPSettings
+from pisplit.controllers.mpc.reach import within_reach
 from pisplit.controllers.references import Reference
 from pisplit.controllers.tuning import Tuned, tune
 
@@ -35,4 +36,5 @@ __all__ = [
     "plants",
     "references",
     "tune",
+    "within_reach",
 ]

@@ -29,7 +29,7 @@ PISPLIT = {
 CONTROLLERS = {
     "loop": {"references"},
     "estimation": {"loop"},
-    "mpc": {"estimation", "loop"},
+    "mpc": {"estimation", "loop", "references"},
     "feedforward": {"loop", "mpc"},
     "references": set(),
     "plants": {"loop"},

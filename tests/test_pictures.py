@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("pisplit", "models", "controllers")
 FACES = (
     *("pisplit/__init__.py", "pisplit/front/__init__.py", "controllers/__init__.py", "controllers/plants/__init__.py"),
-    *("controllers/references.py", "models/__init__.py", "models/rod/__init__.py", "models/arm/__init__.py"),
+    *("controllers/references/__init__.py", "models/__init__.py", "models/rod/__init__.py", "models/arm/__init__.py"),
     *("models/calibration/__init__.py", "models/systems.py", "pisplit/observables/__init__.py"),
 )
 #: What is returned and needs no picture of its own, and why.

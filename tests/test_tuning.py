@@ -104,16 +104,19 @@ def test_a_pushed_model_is_the_model_where_it_misses_nothing() -> None:
 
 def test_numbers_do_not_depend_on_units() -> None:
     plain, scaled = tuned(), tuned(1e3, 40.0)
-    best, other = plain.trials[0], scaled.trials[0]
+    best, other = plain.chosen, scaled.chosen
     assert (best.horizon, best.rate_weight, best.gain) == (other.horizon, other.rate_weight, other.gain)
     assert best.error == pytest.approx(other.error, rel=1e-3)
     assert plain.mpc.horizon == scaled.mpc.horizon
+    figure = plain.plot()
+    drawn = figure.axes[0].lines[0].get_ydata()
+    assert sorted(drawn) == [t.error for t in plain.trials if np.isfinite(t.error)]
 
 
 @pytest.mark.parametrize("load", [0.0, 0.1])
 def test_the_chosen_numbers_track_a_system_that_is_not_the_model(load: float) -> None:
     found, arm = tuned(), Arm(0.05, load=load)
-    predicted = found.trials[0].error
+    predicted = found.chosen.error
     circle = references.circle(0.5, 4.0, [0.0, 0.0], width=2)
     log = ClosedLoop(arm, found.mpc).run(circle, 200, progress=False)
     jump = ClosedLoop(arm, found.mpc).run(references.setpoint([[0.5, -0.3]], [0.2]), 120, progress=False)

@@ -205,7 +205,8 @@ class MPC:
                 "output_slack_weight has no effect without y_min or y_max; give one of them or leave it out"
             )
         limits = self._limits
-        self._steady = SteadyTarget(model, self._read, self._read_offset, limits, weights.output, scale)
+        self.output_scale = scale
+        self.steady = SteadyTarget(model, self._read, self._read_offset, limits, weights.output, scale)
         self._fallback = Fallback(H, limits)
         self._stuck = None if stuck_after is None else StuckSensors(stuck_after, model.state_range, limits.amplitude)
         self._T = limits.basis * limits.amplitude.mean()
@@ -463,7 +464,7 @@ class MPC:
         if z is None or self._readout is None:
             return None
         missed = self._readout[list(self.tracked)]
-        return self._steady(r[: len(self.tracked)], self._estimator.disturbance, missed, self._commanded)
+        return self.steady(r[: len(self.tracked)], self._estimator.disturbance, missed, self._commanded)
 
     def _ahead(self, z: Array, w: Array) -> Array:
         """The lifted state (M,) once the commands on their way have acted, from ``z`` (M,) as measured now."""

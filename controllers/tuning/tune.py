@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,9 @@ from pisplit.controllers.tuning.trials import InLiftedState, PushedModel, Trials
 from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, matched, model_of
 from pisplit.lifted.model import LiftedModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Where the search begins, and what it may choose.
 FIRST_WEIGHT, GAINS = 0.1, (0.01, 0.6)
@@ -46,17 +50,25 @@ class Trial:
 @dataclass(frozen=True, eq=False)
 class Tuned:
     """A controller ``mpc`` whose numbers were chosen, where it rests (``u_rest`` (m,), middle of the limits), the
-    ``trials``, best first, the ``innovations`` of the recordings, the ``seconds`` it took, and ``notes`` in words."""
+    ``trials``, best first, the one ``chosen`` of them, the ``innovations`` of the recordings, the ``seconds`` it took,
+    and ``notes`` in words."""
 
     mpc: MPC
     u_rest: Array
     trials: tuple[Trial, ...]
+    chosen: Trial
     innovations: Innovations
     seconds: float
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
         return "\n".join(self.notes)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Errors of the trials over each number that was chosen; written to ``path`` where one is given."""
+        from pisplit.controllers.tuning.pictures import plot_trials
+
+        return plot_trials(self, path)
 
 
 def tune(
@@ -133,7 +145,7 @@ def tune(
     ]
     if best.error > POOR:
         notes.append("expect no better of the system; more or other recordings may help")
-    return Tuned(search.controller(best), u_rest, made, first, seconds, tuple(notes))
+    return Tuned(search.controller(best), u_rest, made, best, first, seconds, tuple(notes))
 
 
 class _Search:
