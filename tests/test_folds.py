@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pisplit import Dictionary, Episodes, LinearEDMDc, horizon_errors, rollout_errors
+from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc, horizon_errors, rollout_errors
 from pisplit import observables as ob
 from pisplit.estimators.fold_errors import FoldErrors, reasons
 from pisplit.estimators.folds import Fold, fold_moments, make_folds
@@ -154,6 +155,16 @@ def test_a_recording_that_alone_moves_an_input_is_named_by_the_fit() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         LinearEDMDc(theta(), alpha="cv").fit(recordings([20] * 4, noise=0.01, moved=[[0], [1], [0], [1]]))
+
+
+def test_a_saved_model_still_says_what_speaks_against_it(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="parts of one recording"):
+        model = LinearEDMDc(theta(), alpha="cv").fit(recordings([40], noise=0.01))
+    model.lifted.save(tmp_path / "model.h5")
+    told = LiftedModel.load(tmp_path / "model.h5").provenance["choice"]
+    assert model.cv_ is not None and told["reasons"] == list(model.cv_.reasons) and told["error"] == model.cv_.error
+    assert told["folds"][0] == "steps 0 to 8"
+    assert LinearEDMDc(theta()).fit(recordings([40])).lifted.provenance["choice"] is None
 
 
 def test_one_recording_is_never_enough_to_be_sure() -> None:

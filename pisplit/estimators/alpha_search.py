@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,11 @@ class AlphaSearch:
     def error(self) -> float:
         """Error of the choice."""
         return float(self.errors[self.position])
+
+    def facts(self) -> dict[str, Any]:
+        """What a model keeps of it, JSON-able: folds, the error of the choice (None if infinite), reasons to doubt."""
+        error = self.error if np.isfinite(self.error) else None
+        return {"folds": list(self.names), "error": error, "reasons": list(self.reasons)}
 
     @property
     def folds(self) -> Array:

@@ -203,6 +203,7 @@ class Estimator(Parameters):
             "pairs": len(problem.pairs),
             "equilibria": problem.n_equilibria,
             "bounded": choice.bounded,
+            "choice": None if choice.search is None else choice.search.facts(),
             "details": dict(fit.details),
             "data": dict(problem.d1.provenance or {}),
         }
