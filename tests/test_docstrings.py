@@ -125,3 +125,91 @@ def double(number: float, *rest: float) -> float:
         "Silent.stay has no docstring",
         "double does not say: rest",
     ]
+
+
+#: Annotations of arrays, and what tells a shape: "(m, 3)", "numbers", "as in ..." another place that does.
+ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|ndarray)\b")
+SHAPE = re.compile(
+    r"\([^()]*(?:,|\.\.\.|\b[nmpT]\b|[A-Z]\w*)[^()]*\)|\b(?:numbers?|shape|scalar|points?|see)\b"
+    r"|\bone (?:per|a|an|each)\b|\bas (?:in|for)\b"
+)
+#: Rooms whose names users meet.
+FACES = (
+    *("pisplit", "pisplit/front", "pisplit/observables", "controllers", "controllers/plants"),
+    *("models", "models/rod", "models/arm", "models/calibration"),
+)
+
+
+@cache
+def public_names() -> frozenset[str]:
+    found: set[str] = set()
+    for face in FACES:
+        for node in ast.parse((ROOT / face / "__init__.py").read_text()).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+                found |= set(ast.literal_eval(node.value))
+    return frozenset(found)
+
+
+def shapeless(names: list[str], text: str) -> list[str]:
+    """Names near which, and in whose sentence, nothing tells a shape."""
+    told = []
+    for name in names:
+        for found in re.finditer(rf"(?<!\w){re.escape(name)}(?!\w)", text):
+            sentence = text[text.rfind(". ", 0, found.start()) + 1 :].split(". ")[0]
+            near = text[found.start() : found.end() + 160]
+            if SHAPE.search(sentence) or SHAPE.search(near):
+                told.append(name)
+                break
+    return [name for name in names if name not in told]
+
+
+def arrays(node: Function) -> list[str]:
+    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return [
+        a.arg for a in given if a.annotation is not None and ARRAY.search(ast.unparse(a.annotation)) and public(a.arg)
+    ]
+
+
+def without_shape(tree: ast.Module, known: dict[str, ast.ClassDef], names: frozenset[str]) -> Iterator[tuple[int, str]]:
+    """Line and array arguments, and array fields of dataclasses, of the public ``names`` whose shape nobody tells."""
+    for node in tree.body:
+        if isinstance(node, Function) and node.name in names:
+            for name in shapeless(arrays(node), ast.get_docstring(node) or ""):
+                yield node.lineno, f"{node.name}: the shape of {name}"
+        if isinstance(node, ast.ClassDef) and node.name in names:
+            family = [node, *ancestors(node, known)]
+            for member in methods(node):
+                above = family if member.name == "__init__" else [m for o in family[1:] for m in methods(o)]
+                text = f"{ast.get_docstring(member) or ''} {said_by(above)}"
+                if public(member.name) or member.name == "__init__":
+                    for name in shapeless(arrays(member), text):
+                        yield member.lineno, f"{node.name}.{member.name}: the shape of {name}"
+            if has(node, "dataclass"):
+                annotated = [s for s in node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
+                held = [s.target.id for s in annotated if ARRAY.search(ast.unparse(s.annotation))]  # type: ignore[union-attr]
+                for name in shapeless([h for h in held if public(h)], said_by(family)):
+                    yield node.lineno, f"{node.name}: the shape of {name}"
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_shapes_of_arrays_are_said(path: Path) -> None:
+    found = list(without_shape(ast.parse(path.read_text()), classes(), public_names()))
+    assert not found, "\n".join(f"{path}:{line}: {what}" for line, what in found)
+
+
+def test_a_shape_that_is_not_said_is_found() -> None:
+    code = '''
+def moved(x: Array, by: ArrayLike, late: float) -> Array:
+    """States ``x`` (T, n), moved. The ``by`` is what moves them, by so much in every direction that there is, and as
+    often as somebody wants it, whoever that may be, which takes a while if it is done well, as is done here, late."""
+@dataclass
+class Held:
+    """What is kept.
+
+    values  of the things that are kept in this box, which is large enough for all of them, today and on all days
+            and never runs over, whatever is put into it by whomever and how often that may happen in this house
+    """
+    values: Array
+'''
+    found = [what for _, what in without_shape(ast.parse(code), {}, frozenset({"moved", "Held"}))]
+    assert found == ["moved: the shape of by", "Held: the shape of values"]

@@ -60,7 +60,7 @@ class Line:
         self._kept: deque[Array] = deque(maxlen=int(self.steps) + 2)
 
     def fill(self, value: Array) -> None:
-        """Begin with ``value`` at all times."""
+        """Begin with ``value`` (p,) at all times."""
         self._kept.extend([value.copy()] * (self._kept.maxlen or 1))
 
     def __call__(self, value: Array) -> Array:
@@ -75,7 +75,7 @@ class Line:
         return tuple(value.copy() for value in self._kept)
 
     def take(self, own: tuple[Array, ...]) -> None:
-        """Put back what ``own`` gave."""
+        """Put back what ``own`` gave, one array (p,) a sample."""
         self._kept.clear()
         self._kept.extend(value.copy() for value in own)
 

@@ -14,8 +14,9 @@ from pisplit.checks import Array, count, finite_array
 class Condensed:
     """y_{k+j} = C A^j z_k + sum_{i<j} C A^{j-1-i} (B phi_{k+i} + c + w) + d for j = 1 .. H, with w constant.
 
-    M lifted states, P input features, p = ``n_outputs`` outputs, H = ``horizon``. The rows of ``free``, ``disturbance``
-    and ``constant`` are ordered stage by stage; ``impulse`` holds the answer to one feature in one step.
+    M lifted states, P input features, p = ``n_outputs`` outputs, H = ``horizon``. ``free`` and
+    ``disturbance`` (H p, M) and ``constant`` (H p,) are ordered stage by stage; ``impulse`` (H, p, P) holds the answer
+    to one feature in one step.
     """
 
     free: Array  # (H p, M): C A^j

@@ -53,5 +53,5 @@ class ModelPlant:
         return self._z.copy()
 
     def restore(self, snapshot: Array) -> None:
-        """Go on from a ``snapshot``."""
+        """Go on from a ``snapshot`` (M,)."""
         self._z = finite_array(snapshot, "snapshot", (self.model.n_lifted,)).copy()

@@ -91,7 +91,7 @@ class Identified:
 
         u_max, u_min   limits of the inputs, numbers or (m,), in their unit; ``u_min`` mirrors ``u_max`` at rest if not
                        given
-        du_max         largest change per step
+        du_max         largest change per step, a number or (m,)
         settings       of :class:`pisplit.controllers.MPC`, such as horizon, track or rate_weight
         """
         from pisplit.front.control import Control

@@ -39,8 +39,8 @@ class Rollout:
 
     x            (T+1, n) states; from the step of divergence on they hold the last admissible value
     z            (T+1, M) lifted states as computed (after divergence they may overflow)
-    diverged     True if z overflowed or a state left 1e3 times the training range
-    diverged_at  first such step, or None; for E episodes an integer array with -1 for "never"
+    diverged     True if z overflowed or a state left 1e3 times the training range; (E,) of episodes
+    diverged_at  first such step, or None; (E,) of episodes, -1 for "never"
     """
 
     x: Array

@@ -30,7 +30,7 @@ class Reduction:
     """A reduced model and how much it may differ.
 
     model            LiftedModel with r lifted states
-    singular_values  Hankel singular values of the decaying part, in decreasing order
+    singular_values  (M - kept,) Hankel singular values of the decaying part, in decreasing order
     bound            twice the sum of those left out: the largest gain of the error at any frequency, from the features
                      (and the constant) to the states divided by ``state_range`` (Enns 1984; discrete time: Al-Saggaf,
                      Franklin 1987)

@@ -27,8 +27,8 @@ class Equilibrium:
         residual: largest residual in parts of EI/L (moments) and EI/L^2 (forces).
         iterations: of Newton's method; None after kinsol, whose interface does not report them, and after a path.
         solver: ``"kinsol"``, ``"newton"`` or ``"path"``.
-        tensions: tendon tensions in N.
-        slack: by how much each tendon is longer than its path, in m (0 when taut).
+        tensions: (tendons,) in N.
+        slack: (tendons,), by how much each tendon is longer than its path, in m (0 when taut).
         message: why the search failed, or where stability was lost on the way; empty if nothing happened.
         stable: whether no deformation goes on by itself; None where nobody looked.
         branch: ``"unique"`` (there is no other equilibrium), ``"followed"`` (slow loading of the unloaded rod, or slow
