@@ -69,6 +69,13 @@ def test_an_arm_over_disks_is_found_from_its_shapes(
     np.testing.assert_allclose(found.parameters.offset, told.offset, atol=2e-4)
     assert found.parameters.friction == pytest.approx(0.1, abs=0.03)
     assert found.arm.tendons.disks == 3
+    by_name = {e.name: e for e in found.estimates}
+    assert len(by_name) == 16 and by_name["friction"].value == found.parameters.friction
+    assert by_name["offset_x[1]"].identified and by_name["offset_x[1]"].error < 1e-3
+    assert not by_name["slip_speed"].identified  # shapes at rest say nothing of it
+    missed = abs(by_name["bending"].value - 1.0)
+    assert missed < 3.0 * by_name["bending"].error < 0.3
+    assert "slip_speed" in found.report() and "not identified" in found.report().splitlines()[-1]
     along = replace(over_disks.tendons, disks=None)  # type: ignore[type-var]
     scene = rod.Scene(over_disks.scene.rod, *over_disks.passive.terms, along, nodes=3)
     wrong = calibrate_from_shapes(replace(over_disks, scene=scene), *shapes, 2e-4, 4e-3, free=free, start=start)

@@ -1,5 +1,6 @@
 """Calibration: an arm identified from measured equilibria, shapes, pairs or recordings; the result is an arm again."""
 
+from pisplit.models.calibration.estimates import Estimate
 from pisplit.models.calibration.fit import calibrate_from_equilibria, calibrate_from_pairs, calibrate_from_shapes
 from pisplit.models.calibration.model import Calibration, CalibrationError, nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
@@ -10,6 +11,7 @@ __all__ = [
     "CalibratedTendons",
     "Calibration",
     "CalibrationError",
+    "Estimate",
     "TendonParameters",
     "calibrate_from_equilibria",
     "calibrate_from_pairs",

@@ -85,8 +85,9 @@ def calibrate_from_equilibria(
         )
         fits.append(fit)
     found = min(fits, key=lambda fit: float(fit.cost))
-    r = STATIC_ERROR * values(found.x)[0]
-    return model.result(found.x, float(np.sqrt(np.mean(r**2))), len(u), unfinished(found))
+    misfit = float(np.sqrt(np.mean(values(found.x)[0] ** 2)))
+    why, normal = unfinished(found), found.jac.T @ found.jac
+    return model.result(found.x, STATIC_ERROR * misfit, len(u), normal, misfit, why)
 
 
 def calibrate_from_shapes(
@@ -121,8 +122,9 @@ def calibrate_from_shapes(
     shapes = RestingShapes(model, inputs, fields, position_error, rotation_error, stations, play)
 
     found = shapes.fit()
-    missed = shapes.misses(found.x)
-    return model.result(found.x, float(np.sqrt(np.mean(missed**2))), len(shapes.u), unfinished(found))
+    misfit = float(np.sqrt(np.mean(shapes.misses(found.x) ** 2)))
+    normal = found.jac.T @ found.jac
+    return model.result(found.x, misfit, len(shapes.u), normal, misfit, unfinished(found))
 
 
 def calibrate_from_pairs(
@@ -191,7 +193,7 @@ def calibrate_from_pairs(
     )
     missed = float(np.sqrt(np.mean(predicted(found.x)[0] ** 2)))
     why = unfinished(found) if missed > STEP_ERROR else ""  # below are digits of the integrator
-    return model.result(found.x, missed, len(x0), why)
+    return model.result(found.x, missed, len(x0), found.jac.T @ found.jac, missed / STEP_ERROR, why)
 
 
 def unfinished(found: OptimizeResult) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from pisplit.checks import Array, positive
 from pisplit.data.actuator import Actuator
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.calibration.estimates import Estimate, estimates
 from pisplit.models.calibration.parameters import REFERENCE_MASS, REFERENCE_SPEED, TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons
 from pisplit.models.rod import Displacement, KelvinVoigt, PointMass, Scene, Tendons
@@ -64,6 +65,7 @@ class Calibration:
                 (shapes), or parts of the coordinates' spread (pairs)
     samples     number of equilibria or pairs that were used; a pair whose simulation fails does not count
     actuator    servos between commands and displacements, as they were told or identified
+    estimates   value and standard error of every free parameter, and whether the data identify it
     """
 
     arm: TendonArm
@@ -71,6 +73,12 @@ class Calibration:
     residual: float
     samples: int
     actuator: Actuator = field(default_factory=Actuator)
+    estimates: tuple[Estimate, ...] = ()
+
+    def report(self) -> str:
+        """One line a parameter: value, standard error, unit, and "not identified" where data say nothing of it."""
+        head = f"{self.samples} samples, missed by {self.residual:.3g}"
+        return "\n".join([head, *map(str, self.estimates)])
 
     def with_damping(self, factor: float) -> Calibration:
         """The same with another factor of the backbone's damping."""
@@ -217,15 +225,16 @@ class ParametrisedArm:
         return np.diag(1.0 / self.width)
 
     def result(
-        self, x: Array, residual: float, samples: int, why: str = "", covariance: Array | None = None
+        self, x: Array, residual: float, samples: int, normal: Array, misfit: float, why: str = ""
     ) -> Calibration:
         """The identified arm.
 
         Args:
             x: its free parameters (P,).
             residual, samples: as in ``Calibration``.
+            normal: half the curvature (P, P) of the sum of squares there, with that of the prior.
+            misfit: root mean square of the residuals in standard deviations.
             why: it is not to be relied on; empty if it is.
-            covariance: of the free parameters (P, P).
 
         Raises CalibrationError where there is a reason ``why`` not to rely on it.
         """
@@ -233,7 +242,11 @@ class ParametrisedArm:
         scene = self._scene(tuple(values.tolist()))
         arm = TendonArm(scene, self.arm.pretension, self.arm.amplitude)
         parameters = TendonParameters.of_vector(values, self.radius)
-        found = Calibration(arm, parameters, residual, samples, self.actuator(x))
+        actuator = self.actuator(x)
+        servo = [(name, float(getattr(actuator, name)), SERVO[name]) for name in self.servo_free]
+        covariance = np.asarray(max(1.0, misfit) ** 2 * np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
+        told = estimates(parameters, self.radius, self.free.tolist(), servo, covariance, self.width)
+        found = Calibration(arm, parameters, residual, samples, actuator, told)
         if why:
             raise CalibrationError(f"calibration failed: {why}; {len(x)} parameters, residual {residual:.3g}", found)
         return found

@@ -27,6 +27,8 @@ STEP, STAGES = 0.015, 2
 CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
 #: Factors of Marquardt's weight after a step that was taken and one that was not.
 EASED, STIFFENED = 0.5, 5.0
+#: Standard errors, root mean square over the parameters, that a step may still be long where no step goes downhill.
+SETTLED = 0.5
 #: Weight above which a short step only says that it was held back.
 HELD_BACK = 0.1
 #: Smallest slope of misses in an initial state, in parts of the largest: what no sensor sees stays as it is.
@@ -128,13 +130,18 @@ def calibrate_from_recordings(
                 break
         else:
             weight = max(STIFFENED * weight, 1e-3)
-            if small:  # uphill however short the step: the end, but not one to rely on
-                why = f"the sum of squares {best.cost:.3g} rises by {-fell:.2g} however short the step"
+            if small:  # uphill however short the step: the end, where what is left to do is below what data tell
+                left = problem.standard_errors_left(x, best)
+                if left > SETTLED:
+                    uphill = f"the sum of squares {best.cost:.3g} rises by {-fell:.2g} however short the step"
+                    why = f"{uphill}, and a whole step would be {left:.2g} standard errors long"
+                else:
+                    why = ""
                 break
     if not why and best.used < len(y):
         why = f"{len(y) - best.used} of {len(y)} recordings could not be simulated"
     residual = float(np.sqrt(best.misses / best.entries))
-    return model.result(x, residual, best.used, why)
+    return model.result(x, residual, best.used, best.normal, residual, why)
 
 
 @dataclass(frozen=True)
@@ -193,6 +200,11 @@ class _Problem:
                 return np.maximum(x + step, model.low) - x
             free &= ~held
         return np.zeros(len(x))
+
+    def standard_errors_left(self, x: Array, local: _Local) -> float:
+        """Length of an undamped step from ``x`` (P,) in standard errors of the parameters, root mean square."""
+        step, misfit = self.change(x, local, 0.0), max(1.0, local.misses / local.entries)
+        return float(np.sqrt(max(float(step @ local.normal @ step), 0.0) / (misfit * len(x))))
 
     def linearised(self, x: Array, first: Array) -> _Local:
         """The problem about parameters ``x`` (P,) and initial states ``first`` (N, 2n)."""

@@ -1,66 +1,62 @@
-"""The calibrated arm itself as predictor, with servos whose lag and play are found on held-out recordings."""
+"""The calibrated arm itself as predictor: its servos with it, the form of its tendons by held-out roll-outs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
-from ablation.scenarios import STATIONS, equilibria, scenarios
+from ablation.scenarios import STATIONS, Scenario, equilibria, scenarios
 from ablation.shared import compact
-from ablation.twin import DAMPING_PAIRS, MOVING, RESTING, errors_of, recordings
+from ablation.twin import DAMPING_PAIRS, MOVING, errors_of
 from common.data import DT
 from common.protocol import HISTORY, Draw, Prediction, Predictor
 from pisplit import Episodes
+from pisplit.checks import Array
 from pisplit.data.actuator import Actuator
+from pisplit.models import rod
 from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.calibration.fit import calibrate_from_shapes
-from pisplit.models.calibration.recordings import calibrate_from_recordings
+from pisplit.models.calibration import Calibration, CalibrationError, calibrate_from_recordings
 
-#: Lags in s and plays in m to choose from.
-LAGS, PLAYS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.06), (0.0, 1e-4, 2e-4, 3e-4, 4e-4, 6e-4)
-#: Steps of the roll-outs that choose, short enough for damping to count little.
+#: Forms of the tendons: disks, or None along the backbone. What a robot has can be counted on it; a drawing that does
+#: not say leaves the choice to held-out recordings.
+FORMS = (None, 8)
+#: First guess of servos, of friction and of the speed over which it turns round, and error of displacements in m.
+SERVO, FRICTION, SLIP_SPEED, LATE = Actuator(lag=0.015, play=1.5e-4), 0.05, 5e-3, 1e-4
+#: What is identified: points of the tendons at the tip are those at the base, unless a form is along the backbone.
+FREE = (*(name for name in MOVING if name != "routing"), "friction", "lag", "play")
+#: Steps of the roll-outs that choose.
 CHOOSING = 64
 
 
 @dataclass(frozen=True)
 class DirectMethod:
-    """Tendons from shapes at rest, servos by a scan, then everything from recordings behind these servos.
+    """Everything from windows of recordings and from shapes at rest, for every form of the tendons.
 
-    Of the drawing and the two it is the one that predicts held-out recordings best.
+    Of the drawing and what was identified it is the one that predicts held-out recordings best.
     """
 
     seed: int
 
     def __call__(self, draw: Draw) -> Predictor:
-        """Calibrate by the pairs of a draw; servos by its held-out recordings."""
+        """Calibrate by the pairs of a draw; the form by its held-out recordings."""
         scenario, small = scenarios()[draw.law], compact(draw)
-        position, rotation, rate = errors_of(scenario)
-        shapes = equilibria(scenario.name, self.seed)
-        guess = from_shapes(scenario.name, self.seed)
-        servo = _scanned(guess, draw.held_out)
-        fields, moves = recordings(small, scenario, min(DAMPING_PAIRS, len(small)), servo)
-        try:
-            found = calibrate_from_recordings(
-                scenario.known,
-                fields,
-                moves,
-                DT,
-                position_error=position,
-                rotation_error=rotation,
-                rate_error=rate,
-                free=MOVING,
-                start=scenario.first_guess,
-                equilibria=shapes,
-                input_error=max(servo.play, 1e-5) / np.sqrt(12.0),
-            ).arm
-        except RuntimeError as error:
-            raise ValueError(f"no arm: {error}") from None
-        arms = {arm: _cost(arm, servo, draw.held_out) for arm in (scenario.known, guess, found)}
-        arm = min(arms, key=lambda a: arms[a])
-        return Direct(arm, _scanned(arm, draw.held_out))
+        found: dict[TendonArm, Actuator] = {scenario.known: Actuator()}
+        for disks in FORMS:
+            try:
+                fit = calibrated(scenario, small, self.seed, disks)
+            except CalibrationError as error:
+                fit = error.calibration  # held-out roll-outs tell what it is worth
+            except RuntimeError:
+                continue
+            found[fit.arm] = fit.actuator
+        costs = {arm: cost(arm, servo, draw.held_out) for arm, servo in found.items()}
+        arm = min(costs, key=lambda a: costs[a])
+        if not np.isfinite(costs[arm]):
+            raise ValueError("no arm: none of the forms predicts the held-out recordings")
+        return Direct(arm, found[arm])
 
 
 @dataclass(frozen=True)
@@ -85,25 +81,45 @@ class Direct:
         return Prediction(points, velocity, at)
 
 
-@lru_cache(maxsize=8)
-def from_shapes(name: str, seed: int) -> TendonArm:
-    """The drawing of a scenario, with tendons and stiffness from shapes at rest."""
-    scenario = scenarios()[name]
-    shapes, errors = equilibria(name, seed), errors_of(scenario)
-    return calibrate_from_shapes(scenario.known, *shapes, *errors[:2], free=RESTING, start=scenario.first_guess).arm
+def calibrated(scenario: Scenario, draw: Draw, seed: int, disks: int | None) -> Calibration:
+    """The arm of a scenario with tendons over ``disks`` from the first pairs of a draw with their histories."""
+    position, rotation, rate = errors_of(scenario)
+    fields, logs = windows(draw, scenario, min(DAMPING_PAIRS, len(draw)))
+    return calibrate_from_recordings(
+        over_disks(scenario.known, disks),
+        fields,
+        logs,
+        DT,
+        position_error=position,
+        rotation_error=rotation,
+        rate_error=rate,
+        free=FREE,
+        start=replace(scenario.first_guess, friction=FRICTION, slip_speed=SLIP_SPEED),
+        equilibria=equilibria(scenario.name, seed),
+        input_error=LATE,
+        actuator=SERVO,
+    )
 
 
-def _cost(arm: TendonArm, servo: Actuator, held: Episodes) -> float:
+def over_disks(arm: TendonArm, disks: int | None) -> TendonArm:
+    """The drawn ``arm`` with its tendons over so many ``disks``."""
+    drawn = arm.tendons
+    assert isinstance(drawn, rod.Tendons)
+    terms = [replace(drawn, disks=disks) if term is drawn else term for term in arm.scene.terms]
+    return replace(arm, scene=rod.Scene(arm.scene.rod, *terms, nodes=arm.scene.nodes))
+
+
+def windows(draw: Draw, scenario: Scenario, count: int) -> tuple[Array, Sequence[Array]]:
+    """Fields (N, 6, 144) of the first pairs of a draw with their four steps of history; all commands up to each."""
+    fields, logs = [], []
+    for episode, k in draw.rows[:count]:
+        fields.append(draw.episodes.xs[episode][k - HISTORY : k + 2])
+        logs.append(np.vstack([scenario.known.rest_inputs, draw.episodes.us[episode][: k + 1]]))
+    return np.stack(fields), logs
+
+
+def cost(arm: TendonArm, servo: Actuator, held: Episodes) -> float:
     """Mean squared error in m^2 of short roll-outs of held-out recordings, infinite where one fails."""
     cut = [x[: CHOOSING + 1] for x in held.xs], [u[:CHOOSING] for u in held.us]
     short = replace(held, xs=cut[0], us=cut[1], extra=None)
     return ArmPredictor(arm, DT, STATIONS, servo).score(short, start=HISTORY).mean
-
-
-def _scanned(arm: TendonArm, held: Episodes) -> Actuator:
-    """Lag first, then play, then lag again."""
-    lag, play = 0.0, 0.0
-    for _ in range(2):
-        lag = min(LAGS, key=lambda v: _cost(arm, Actuator(lag=v, play=play), held))
-        play = min(PLAYS, key=lambda v: _cost(arm, Actuator(lag=lag, play=v), held))
-    return Actuator(lag=lag, play=play)
