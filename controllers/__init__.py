@@ -4,6 +4,7 @@ from pisplit.controllers import plants, references
 from pisplit.controllers.estimation.kalman import KalmanFilter
 from pisplit.controllers.estimation.watch import InnovationWatch
 from pisplit.controllers.feedforward import FeedForward
+from pisplit.controllers.learning import environment
 from pisplit.controllers.loop.following import LoopStep
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.loop import ClosedLoop
@@ -33,6 +34,7 @@ __all__ = [
     "Reference",
     "Tuned",
     "condense",
+    "environment",
     "plants",
     "references",
     "tune",

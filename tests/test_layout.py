@@ -30,6 +30,7 @@ CONTROLLERS = {
     "loop": {"references"},
     "estimation": {"loop"},
     "mpc": {"estimation", "loop", "references"},
+    "learning": {"loop", "mpc", "references"},
     "feedforward": {"loop", "mpc"},
     "references": set(),
     "plants": {"loop"},
