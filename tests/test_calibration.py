@@ -107,7 +107,7 @@ def test_damping_is_found_from_pairs_and_the_twin_moves_like_the_arm(arm: Tendon
     n = arm.scene.n_strains
     rng = np.random.default_rng(2)
     u = arm.rest_inputs + random_differential(arm, 9, rng)
-    motion = arm.scene.simulator(dt=0.03, rtol=1e-7).run(u[1:], arm.scene.statics().solve(u[0]).state).x
+    motion = arm.scene.simulator(dt=0.03, rtol=1e-7).run(u[1:], arm.scene.statics().solve(u[0]).state, check=False).x
     terms = [rod.KelvinVoigt(1e-3, 1e-3) if isinstance(t, rod.KelvinVoigt) else t for t in arm.scene.terms]
     known = replace(arm, scene=rod.Scene(arm.scene.rod, *terms, nodes=arm.scene.nodes))
     first = calibrate_from_equilibria(known, *equilibria(arm, 16, 0), start=wrong)
@@ -117,7 +117,7 @@ def test_damping_is_found_from_pairs_and_the_twin_moves_like_the_arm(arm: Tendon
     assert found.parameters.damping == pytest.approx(0.5, rel=5e-3)
     assert found.samples == 8
     twin = first.with_damping(found.parameters.damping).arm.scene
-    moved = twin.simulator(dt=0.03, rtol=1e-7).run(u[1:], motion[0]).x
+    moved = twin.simulator(dt=0.03, rtol=1e-7).run(u[1:], motion[0], check=False).x
     exact = arm.scene.fields(motion)[..., :3]
     assert np.abs(arm.scene.fields(moved)[..., :3] - exact).max() < 5e-3 * np.abs(exact - exact[0]).max()
 
@@ -202,7 +202,7 @@ def test_a_mass_at_the_tip_is_found_from_equilibria(arm: TendonArm, wrong: Tendo
     assert found.parameters.tip_mass == pytest.approx(0.01, rel=1e-3)
     assert found.parameters.bending == pytest.approx(1.0, abs=1e-3)
     u = arm.rest_inputs + random_differential(arm, 6, np.random.default_rng(1))
-    exact, twin = (a.scene.simulator(dt=0.03, rtol=1e-6).run(u).fields(6)[..., :3] for a in (real, found.arm))
+    exact, twin = (a.scene.simulator(dt=0.03, rtol=1e-6).run(u, check=False).fields(6)[..., :3] for a in (real, found.arm))
     assert np.abs(twin - exact).max() < 1e-2 * np.abs(exact - exact[0]).max()
 
 
@@ -227,7 +227,7 @@ def recordings(arm: TendonArm, number: int, noise: float) -> tuple[np.ndarray, n
     for _ in range(number):
         ends = random_differential(arm, 2, rng)
         u = arm.rest_inputs + ends[0] + np.linspace(0.0, 1.0, 7)[:, None] * (ends[1] - ends[0])
-        motion = simulator.run(u[1:], arm.scene.statics().solve(u[0]).state)
+        motion = simulator.run(u[1:], arm.scene.statics().solve(u[0]).state, check=False)
         fields.append(motion.fields(6)[2:].reshape(5, -1))
         moves.append(u[2:])
     clean = np.stack(fields)
@@ -287,7 +287,7 @@ def test_a_calibrated_arm_can_be_calibrated_again_by_every_way(arm: TendonArm, w
     np.testing.assert_allclose(again.parameters.offset, first.parameters.offset, atol=1e-4)
     seen = calibrate_from_shapes(first.arm, u[:4], rest[:4], free=("bending",))
     assert seen.parameters.bending == pytest.approx(1.0, abs=1e-3)
-    motion = arm.scene.simulator(dt=0.03).run(u[1:3], arm.scene.statics().solve(u[0]).state).x
+    motion = arm.scene.simulator(dt=0.03).run(u[1:3], arm.scene.statics().solve(u[0]).state, check=False).x
     moves = np.stack([u[:2], u[1:3]], axis=1)
     slow = first.with_damping(2.0)
     assert nominal_parameters(slow.arm).damping == 2.0

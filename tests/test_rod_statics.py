@@ -161,7 +161,7 @@ def test_the_first_example_of_the_design_runs_as_written() -> None:
     assert batch.success.all()
     sim = arm.simulator(dt=0.03, rtol=3e-5)
     U = np.linspace([0.010, -0.005, -0.005], [0.0, 0.002, -0.002], 10)
-    traj = sim.run(u=U, x0=eq.state)
+    traj = sim.run(u=U, x0=eq.state, check=False)
     assert traj.success
     assert traj.t.shape == (11,) and traj.x.shape == (11, arm.n_states) and traj.u.shape == (10, 3)
     y = arm.fields(traj.x, stations=6)

@@ -185,7 +185,7 @@ def test_soft_rod_under_a_ramped_tip_load() -> None:
 
     rise = p["ramp_time"]
     forces = p["force"] * np.stack([ramp(t / rise), 0.5 * ramp(t / (2.0 * rise)), 0.0 * t], axis=1)
-    trajectory = scene.simulator(dt, rtol=1e-5).run(forces)
+    trajectory = scene.simulator(dt, rtol=1e-5).run(forces, check=False)
     assert trajectory.success
     tip = trajectory.fields([p["length"]])[:, 0, :3]
     reference = np.array([row["tip"] for row in rows])
