@@ -202,7 +202,9 @@ def test_a_mass_at_the_tip_is_found_from_equilibria(arm: TendonArm, wrong: Tendo
     assert found.parameters.tip_mass == pytest.approx(0.01, rel=1e-3)
     assert found.parameters.bending == pytest.approx(1.0, abs=1e-3)
     u = arm.rest_inputs + random_differential(arm, 6, np.random.default_rng(1))
-    exact, twin = (a.scene.simulator(dt=0.03, rtol=1e-6).run(u, check=False).fields(6)[..., :3] for a in (real, found.arm))
+    exact, twin = (
+        a.scene.simulator(dt=0.03, rtol=1e-6).run(u, check=False).fields(6)[..., :3] for a in (real, found.arm)
+    )
     assert np.abs(twin - exact).max() < 1e-2 * np.abs(exact - exact[0]).max()
 
 

@@ -111,7 +111,9 @@ def test_lag_and_play_of_servos_are_found_with_the_damping(arm: TendonArm) -> No
         there, back = way * ends[0], ends[0] + way[1:] * (ends[1] - ends[0])
         log = arm.rest_inputs + np.concatenate([there, back])[:14]
         moved = servo.simulate(log, DT)[0]
-        motion = arm.scene.fast_stepper(DT, step=0.015).run(moved[1:], arm.scene.statics().solve(log[0]).state, check=False)
+        motion = arm.scene.fast_stepper(DT, step=0.015).run(
+            moved[1:], arm.scene.statics().solve(log[0]).state, check=False
+        )
         fields.append(motion.fields(6)[2:].reshape(12, -1))
         logs.append(log)
     start = replace(nominal_parameters(arm), damping=2.0)

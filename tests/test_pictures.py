@@ -266,7 +266,9 @@ def test_the_page_of_a_motion_shows_its_shapes_and_tensions(made: Made, tmp_path
     last = made.scene.statics().solve(made.pull).tensions  # it has come to rest, nearly
     np.testing.assert_allclose(data["tensions"][-1], last, rtol=0.1)
     with pytest.raises(ValueError, match="over the same times"):
-        motion.save(tmp_path / "run.html", ghost=made.scene.simulator(0.02).run(np.tile(made.pull, (3, 1)), check=False))
+        motion.save(
+            tmp_path / "run.html", ghost=made.scene.simulator(0.02).run(np.tile(made.pull, (3, 1)), check=False)
+        )
     with pytest.raises(ValueError, match="expected a page"):
         motion.save(tmp_path / "run.png")
 

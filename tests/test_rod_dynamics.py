@@ -50,7 +50,9 @@ def test_damped_motion_ends_in_the_static_equilibrium() -> None:
     """Tip within 1e-7 L; strong damping, one minute."""
     scene = ARM.scene.replace(rod.KelvinVoigt(bending=2e-2, torsion=2e-2)) + rod.LinearDrag(0.1)
     pulls = np.array([0.008, -0.003, -0.002])
-    trajectory = scene.simulator(5.0, rtol=1e-7).run(np.tile(pulls, (12, 1)), scene.statics().solve([1e-3] * 3).state, check=False)
+    trajectory = scene.simulator(5.0, rtol=1e-7).run(
+        np.tile(pulls, (12, 1)), scene.statics().solve([1e-3] * 3).state, check=False
+    )
     assert trajectory.success
     assert np.abs(tips(trajectory.x[-1:], scene)[0] - scene.statics().solve(pulls).tip).max() <= 1e-7 * LENGTH
 
@@ -138,7 +140,9 @@ def test_a_jump_of_an_input_starts_three_times_as_fast_as_its_ramp() -> None:
     )
     n = scene.n_strains
     bend = [
-        scene.simulator(1e-5, rtol=1e-9, inputs=inputs).run([[1e3, 0.0, 0.0]], np.zeros(scene.n_states), check=False).x[-1][:n]
+        scene.simulator(1e-5, rtol=1e-9, inputs=inputs)
+        .run([[1e3, 0.0, 0.0]], np.zeros(scene.n_states), check=False)
+        .x[-1][:n]
         for inputs in ("step", "ramp")
     ]
     assert bend[0] == pytest.approx(3.0 * bend[1], rel=2e-2)
@@ -147,7 +151,9 @@ def test_a_jump_of_an_input_starts_three_times_as_fast_as_its_ramp() -> None:
 def test_inputs_that_jump_reach_the_same_rest() -> None:
     scene = ARM.scene.replace(rod.KelvinVoigt(bending=2e-2, torsion=2e-2)) + rod.LinearDrag(0.1)
     u = np.tile([0.005, -0.002, -0.001], (10, 1))
-    trajectory = scene.simulator(5.0, rtol=1e-6, inputs="step").run(u, scene.statics().solve([1e-3] * 3).state, check=False)
+    trajectory = scene.simulator(5.0, rtol=1e-6, inputs="step").run(
+        u, scene.statics().solve([1e-3] * 3).state, check=False
+    )
     assert trajectory.success
     assert np.abs(tips(trajectory.x[-1:], scene)[0] - scene.statics().solve(u[0]).tip).max() <= 1e-5 * LENGTH
 

@@ -61,7 +61,9 @@ def test_energy_of_the_arm_in_three_dimensions() -> None:
     scene = TendonArm.paper(nodes=3).scene.variational()
     t = 0.03 * np.arange(1, 11)[:, None]
     u = 1e-3 + 4e-3 * np.sin(3.0 * t) * np.cos(np.array([0.0, 2.1, 4.2]))
-    trajectory = scene.stepper(0.03, step=1e-3).run(u, scene.statics().solve([1e-3] * 3).state, energy=True, check=False)
+    trajectory = scene.stepper(0.03, step=1e-3).run(
+        u, scene.statics().solve([1e-3] * 3).state, energy=True, check=False
+    )
     energy = trajectory.energy()
     assert list(energy.work) == ["Tendons"]
     assert energy.dissipated[-1] > 0.0

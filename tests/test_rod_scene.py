@@ -75,7 +75,8 @@ def test_a_plane_scene_is_the_spatial_one_in_its_plane() -> None:
     assert spatial[:, 1] == pytest.approx(acceleration, rel=1e-7, abs=1e-7 * np.abs(acceleration).max())
     assert np.abs(spatial[:, [0, 2]]).max() <= 1e-7 * np.abs(acceleration).max()
     ends = [
-        s.simulator(0.03, rtol=1e-8).run(np.linspace([0.0, 0.0], pulls, 5), check=False).fields([0.5])[-1] for s in (plane, space)
+        s.simulator(0.03, rtol=1e-8).run(np.linspace([0.0, 0.0], pulls, 5), check=False).fields([0.5])[-1]
+        for s in (plane, space)
     ]
     assert ends[0] == pytest.approx(ends[1], abs=1e-5)
 

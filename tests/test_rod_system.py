@@ -48,7 +48,9 @@ def test_a_step_is_that_of_the_simulator() -> None:
     found = system.simulate(x, inputs, dt, method="idas")
     size = np.abs(found[:, : len(xi)]).max(), np.abs(found[:, len(xi) :]).max()
     for rtol, bound in ((1e-7, 1e-4), (1e-9, 4e-6)):  # the simulator closes in on it
-        truth = ARM.scene.simulator(dt=dt, rtol=rtol, inputs="step").run(u=inputs, x0=np.concatenate([x, inputs[0]]), check=False)
+        truth = ARM.scene.simulator(dt=dt, rtol=rtol, inputs="step").run(
+            u=inputs, x0=np.concatenate([x, inputs[0]]), check=False
+        )
         assert truth.success
         assert np.abs((found - truth.x[:, : len(x)]) / np.repeat(size, len(xi))).max() <= bound
 

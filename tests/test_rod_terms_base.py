@@ -120,7 +120,9 @@ def test_a_shaken_rod_follows_the_simulation_in_the_frame_of_its_base() -> None:
     felt = rod.Scene(body("planar"), damping, rod.Gravity(rod.Input("g", 3)))
     a = np.zeros((20, 3))
     a[:, 0] = 4.0 * np.sin(0.6 * np.arange(1, 21))
-    runs = [s.simulator(dt=0.02, rtol=1e-6).run(u, np.zeros(s.n_states), check=False) for s, u in ((shaken, a), (felt, -a))]
+    runs = [
+        s.simulator(dt=0.02, rtol=1e-6).run(u, np.zeros(s.n_states), check=False) for s, u in ((shaken, a), (felt, -a))
+    ]
     assert runs[0].success and runs[1].success
     tips = [run.fields([LENGTH])[:, 0, :3] for run in runs]
     assert np.abs(tips[0][:, 0]).max() > 2e-3

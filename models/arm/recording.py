@@ -31,7 +31,7 @@ METHODS = ("fast", "idas")
 IDAS_RTOL = 1e-5
 NO_ACTUATOR = Actuator()
 #: Changes when the same arm is moved or identified differently, so that older data are not taken for new ones.
-EQUATIONS = 3
+EQUATIONS = 4
 
 
 def random_displacements(arm: Arm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:

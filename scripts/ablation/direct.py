@@ -16,13 +16,13 @@ from pisplit import Episodes
 from pisplit.checks import Array
 from pisplit.data.actuator import Actuator
 from pisplit.models import rod
+from pisplit.models.arm.disk_robot import PRESETS
 from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration import Calibration, CalibrationError, calibrate_from_recordings
 
-#: Forms of the tendons: disks, or None along the backbone. What a robot has can be counted on it; a drawing that does
-#: not say leaves the choice to held-out recordings.
-FORMS = (None, 8)
+#: Disks of an arm on which nobody has counted them.
+DISKS = 8
 #: First guess of servos, of friction and of the speed over which it turns round, and error of displacements in m.
 SERVO, FRICTION, SLIP_SPEED, LATE = Actuator(lag=0.015, play=1.5e-4), 0.05, 5e-3, 1e-4
 #: What is identified: points of the tendons at the tip are those at the base, unless a form is along the backbone.
@@ -44,7 +44,7 @@ class DirectMethod:
         """Calibrate by the pairs of a draw; the form by its held-out recordings."""
         scenario, small = scenarios()[draw.law], compact(draw)
         found: dict[TendonArm, Actuator] = {scenario.known: Actuator()}
-        for disks in FORMS:
+        for disks in forms(draw.law):
             try:
                 fit = calibrated(scenario, small, self.seed, disks)
             except CalibrationError as error:
@@ -79,6 +79,15 @@ class Direct:
             if len(found) < steps:
                 at[e] = len(found)
         return Prediction(points, velocity, at)
+
+
+def forms(name: str) -> tuple[int | None, ...]:
+    """Forms of the tendons that are tried: along the backbone, and over disks, which can be counted on a robot.
+
+    Which of them it is, held-out recordings say.
+    """
+    kind, _, number = name.rpartition(" ")
+    return None, PRESETS[int(number)][0] if kind == "other robot" else DISKS
 
 
 def calibrated(scenario: Scenario, draw: Draw, seed: int, disks: int | None) -> Calibration:
