@@ -52,13 +52,13 @@ def slowly(scene: rod.Scene, u: np.ndarray, steps: int = 400) -> np.ndarray | No
 @pytest.mark.parametrize("kind", ["weight", "tip force"])
 def test_shapes_are_those_of_slow_loading(kind: str, strains: str) -> None:
     scene, compared = loaded(kind, strains, 6), 0
-    for d, size in zip(directions(14, strains), np.geomspace(1.0, 100.0, 14), strict=True):
+    for d, size in zip(directions(8, strains), np.geomspace(1.0, 100.0, 8), strict=True):
         found, slow = scene.statics().solve(size * d), slowly(scene, size * d)
         if found.success and found.branch != "snapped" and slow is not None:
             compared += 1
             assert scene.fields(found.state, 11)[:, :3] == pytest.approx(slow, abs=1e-6)
         assert not found.success or (found.stable and found.margin > 0.0)
-    assert compared >= 11
+    assert compared >= 6
 
 
 @pytest.mark.parametrize("ratio", [1.5, 4.0, 10.0])
@@ -97,7 +97,7 @@ def test_the_bound_of_the_certificate_is_below_every_stiffness() -> None:
 def calibrated(bending: float) -> rod.Scene:
     """A rod whose identified tendons say that its backbone is softer (or stiffer) than drawn."""
     m = 3
-    values = np.zeros(6 * m + 4)
+    values = np.zeros(6 * m + 6)
     values[: 2 * m] = [1.0, 0.0, -0.5, 0.8, -0.5, -0.8]
     values[4 * m + 1] = np.log(bending)
     none = rod.KelvinVoigt(bending=0.0, torsion=0.0)

@@ -20,7 +20,7 @@ NAMED = motions()
 
 def moved(motion: Motion) -> Trajectory:
     """The motion with hardly an error in time."""
-    return motion.scene.simulator(motion.dt, rtol=1e-6, **motion.options).run(motion.u, motion.start, check=False)
+    return motion.scene.simulator(motion.dt, rtol=1e-7, **motion.options).run(motion.u, motion.start, check=False)
 
 
 def grown(error: MotionError) -> float:
