@@ -116,15 +116,24 @@ def circle(
     outputs, ``width`` coordinates: 3, or 2 where there is no third.
     """
     R, T = positive(radius, "radius"), positive(period, "period", "s")
+    axes = axes_of(plane, width)
+    lead_in = T / 2 if approach is None else non_negative(approach, "approach", "s")
+    middle = None if center is None else finite_array(center, "center", (2,)).copy()
+    function = _Circle(R, T, middle, axes, finite_number(phase, "phase"), width)
+    plain = Reference(function, width=width, needs_start=middle is None, track=track)
+    return plain.approached(lead_in) if lead_in > 0.0 else plain
+
+
+def axes_of(plane: str, width: int) -> tuple[int, int]:
+    """The two coordinates of a coordinate ``plane``, out of ``width``.
+
+    Raises ValueError for planes that there are not among so many coordinates.
+    """
     if plane not in PLANES:
         raise ValueError(f"plane = {plane!r}; expected one of {', '.join(map(repr, PLANES))}")
     if max(PLANES[plane]) >= count(width, "width"):
         raise ValueError(f"width = {width}; the plane {plane!r} needs {max(PLANES[plane]) + 1} coordinates")
-    lead_in = T / 2 if approach is None else non_negative(approach, "approach", "s")
-    middle = None if center is None else finite_array(center, "center", (2,)).copy()
-    function = _Circle(R, T, middle, PLANES[plane], finite_number(phase, "phase"), width)
-    plain = Reference(function, width=width, needs_start=middle is None, track=track)
-    return plain.approached(lead_in) if lead_in > 0.0 else plain
+    return PLANES[plane]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, count, finite_array, non_negative, positive
-from pisplit.controllers.references.curves import PLANES, Reference
+from pisplit.checks import Array, finite_array, non_negative, positive
+from pisplit.controllers.references.curves import Reference, axes_of
 
 #: Points of a rounded corner.
 ARC = 24
@@ -33,18 +33,14 @@ def along(
     Raises ValueError for fewer than two different points, and planes that there are not.
     """
     corners = finite_array(points, "points", (None, 2))
-    T = positive(period, "period", "s")
-    if plane not in PLANES:
-        raise ValueError(f"plane = {plane!r}; expected one of {', '.join(map(repr, PLANES))}")
-    if max(PLANES[plane]) >= count(width, "width"):
-        raise ValueError(f"width = {width}; the plane {plane!r} needs {max(PLANES[plane]) + 1} coordinates")
+    T, axes = positive(period, "period", "s"), axes_of(plane, width)
     closed = np.vstack([corners, corners[:1]])
     closed = closed[np.concatenate([[True], np.linalg.norm(np.diff(closed, axis=0), axis=1) > 0.0])]
     if len(closed) < 3:
         raise ValueError("points has fewer than two different points: there is no way along them")
     middle = None if center is None else finite_array(center, "center", (2,)).copy()
     lead_in = T / 2 if approach is None else non_negative(approach, "approach", "s")
-    plain = Reference(_Along(closed, T, middle, PLANES[plane], width), width, middle is None, track)
+    plain = Reference(_Along(closed, T, middle, axes, width), width, middle is None, track)
     return plain.approached(lead_in) if lead_in > 0.0 else plain
 
 

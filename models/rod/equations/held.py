@@ -113,6 +113,8 @@ def held(balance: Balance, term: HeldTip, moving: bool) -> Balance:
 
 def with_wrench(balance: Balance, wrench: ca.SX | None, holding: Holding | None = None) -> Balance:
     """``balance`` with another ``wrench`` (6,) at the tip, which follows as ``holding`` says, or is just given."""
+    if balance.reaction is None and wrench is None:
+        return balance  # a tip that is free: nothing is built anew
     made = replace(balance, reaction=wrench, holding=holding)
     made.__dict__["motion"] = balance.motion
     return made
