@@ -6,15 +6,15 @@ import copy
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import Array, count, non_negative, positive, real_array
-from pisplit.controllers.estimation.disturbance import DisturbanceEstimator, EstimatorState
+from pisplit.controllers.estimation.disturbance import DisturbanceEstimator
 from pisplit.controllers.estimation.kalman import KalmanFilter
-from pisplit.controllers.estimation.stuck import StuckSensors, StuckState
+from pisplit.controllers.estimation.stuck import StuckSensors
 from pisplit.controllers.loop.history import History, Line
 from pisplit.controllers.loop.tracking import (
     Move,
@@ -25,13 +25,14 @@ from pisplit.controllers.loop.tracking import (
     tracked_states,
 )
 from pisplit.controllers.mpc.condense import condense
-from pisplit.controllers.mpc.fallback import PLAN, Fallback, FallbackState
+from pisplit.controllers.mpc.fallback import PLAN, Fallback
 from pisplit.controllers.mpc.growth import warn_of_growth
 from pisplit.controllers.mpc.latency import Latency
 from pisplit.controllers.mpc.limits import directions, input_limits
-from pisplit.controllers.mpc.problem import ProblemState, TrackingProblem, Weights
+from pisplit.controllers.mpc.problem import TrackingProblem, Weights
 from pisplit.controllers.mpc.qp import QPResult, QPSettings
 from pisplit.controllers.mpc.relinearise import AlongPlan
+from pisplit.controllers.mpc.state import MPCState, Past
 from pisplit.controllers.mpc.steady import SteadyTarget
 from pisplit.data.columns import in_order
 from pisplit.data.input_subspace import combination
@@ -44,46 +45,6 @@ GAIN = 0.3  # of the disturbance estimate, where there is no delay
 PATIENCE = 12
 #: So many times the repeats after which a reading is stuck are the steps that can be taken in anew.
 MEMORY = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """What a step began with: ``history``, ``estimator``, ``readout`` and ``doubts`` as in the state of an MPC, what
-    was ``measured`` (n,), and the input ``acting`` (m,) after it."""
-
-    history: History
-    estimator: EstimatorState
-    readout: Array | None
-    doubts: NDArray[np.int64]
-    measured: Array
-    acting: Array = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True, eq=False)
-class MPCState:
-    """An MPC between two steps.
-
-    ``history`` of delays, last ``plan`` (None before the first), states of the disturbance ``estimator`` and of the
-    ``problem``; ``readout`` (n,), what the read-out missed of the last measurement, None before it; steps ``blind``
-    since anything was measured; ``doubts`` (p,), steps for which the observer rejected each of its entries; ``line`` of
-    commands on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first;
-    ``stuck``, what is known of sensors that repeat themselves, and the ``past`` steps that are forgotten where they do;
-    ``fallback``, how far its order has been gone down.
-    """
-
-    history: History
-    plan: Array | None
-    estimator: EstimatorState
-    problem: ProblemState
-    readout: Array | None
-    blind: int
-    doubts: NDArray[np.int64]
-    line: tuple[Array, ...]
-    commanded: Array
-    wanted: Array | None
-    stuck: StuckState | None
-    past: tuple[Past, ...]
-    fallback: FallbackState
 
 
 class MPC:
