@@ -89,9 +89,9 @@ class PhaseTask:
         n = scene.n_strains
         if self.shape_factor is not None:
             states[:, :n] += rng.standard_normal((self.samples, n)) @ self.shape_factor
-        states[:, n : 2 * n] = rng.standard_normal((self.samples, n)) @ self.rate_factor
+        states[:, scene.layout.rates] = rng.standard_normal((self.samples, n)) @ self.rate_factor
         x, xdot = (np.asarray(v).T for v in derivative.map(self.samples)(states.T))
-        block = {"x": x, "u": states[:, 2 * n :], "xdot": xdot, "failures": np.array(failures, dtype=str)}
+        block = {"x": x, "u": states[:, scene.layout.inputs], "xdot": xdot, "failures": np.array(failures, dtype=str)}
         if self.dt is not None:
             flown = _flow(known, states, 0.5 * self.dt, self.compiled)
             block["x_half"] = scene.fields(flown, self.stations).reshape(self.samples, -1)
@@ -176,17 +176,15 @@ def deviations_from_equilibrium(arm: Arm, episodes: Episodes) -> tuple[Array, Ar
     ``arm`` is the one that moved in ``episodes``. Raises ValueError for episodes of another arm and for recordings of a
     real one, whose strains nobody knows.
     """
-    n = arm.scene.n_strains
-    states = _simulated_states(arm, episodes)
-    rest = arm.scene.statics().solve_many(states[:, 2 * n :])
+    strains, moving, u = arm.scene.layout.split(_simulated_states(arm, episodes))
+    rest = arm.scene.statics().solve_many(u)
     kept = rest.success
-    return states[kept, :n] - rest.states[kept, :n], states[:, n : 2 * n]
+    return strains[kept] - rest.states[kept, : arm.scene.n_strains], moving
 
 
 def strain_rates(arm: Arm, episodes: Episodes) -> Array:
     """Strain rates (N, n_strains) of simulated episodes. ``arm`` is the one that moved in ``episodes``."""
-    n = arm.scene.n_strains
-    rates: Array = _simulated_states(arm, episodes)[:, n : 2 * n]
+    rates: Array = arm.scene.layout.split(_simulated_states(arm, episodes)).rates
     return rates
 
 
@@ -220,11 +218,11 @@ def _digest(samples: Array) -> str:
 def _known_derivative(arm: Arm, known: rod.Scene, stations: int) -> tuple[Any, ca.Function]:
     """Statics of the arm, and ``state -> (fields, time derivative of the fields under the known part)``."""
     scene = arm.scene
-    n = scene.n_strains
     fields = scene.field_map(stations).function
     x = ca.MX.sym("x", scene.n_states)
-    acceleration = known.acceleration(x[:n], x[n : 2 * n], ca.MX(known.n_inputs, 1))
-    flow = ca.vertcat(x[n : 2 * n], acceleration, ca.MX.zeros(scene.n_inputs))
+    strains, moving, _ = scene.layout.split(x)
+    acceleration = known.acceleration(strains, moving, ca.MX(known.n_inputs, 1))
+    flow = ca.vertcat(moving, acceleration, ca.MX.zeros(scene.n_inputs))
     y = fields(x)
     return scene.statics(), ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
 
@@ -232,7 +230,7 @@ def _known_derivative(arm: Arm, known: rod.Scene, stations: int) -> tuple[Any, c
 def _flow(known: rod.Scene, states: Array, t: float, compiled: bool) -> Array:
     """States (N, n) after ``t`` seconds of the known part alone; the displacements in them stay."""
     simulator = _flow_simulator(known, t, compiled)
-    n = 2 * known.n_strains
+    n = known.layout.n_moving
     flown = states.copy()
     for row in flown:
         trajectory = simulator.run(np.zeros((1, 0)), row[:n])

@@ -13,6 +13,7 @@ from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.models.arm.static_table import EquilibriumTable
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod import Scene
 from pisplit.models.rod.equations.prestressed import prestressed_acceleration
 
 #: Size of the steps about the rest shape, in parts of 1/L and of the first bending frequency.
@@ -70,7 +71,7 @@ class ArmPhysics:
         return {
             "tangent": self.tangent_samples(),
             "equilibrium": equilibrium,
-            "ports": self.arm.passive.linearise(_at_rest(rest.state, n)).stress_ports @ bending,
+            "ports": self.arm.passive.linearise(_at_rest(self.arm.passive, rest.strains)).stress_ports @ bending,
             "loads": loads,
         }
 
@@ -92,13 +93,14 @@ class ArmPhysics:
         states = np.tile(rest, (count, 1))
         states[:, : 2 * n] += steps * np.concatenate([nominal, nominal * scene.rod.bending_rate])
         x = ca.MX.sym("x", scene.n_states)
-        acceleration = prestressed_acceleration(passive)(x[:n], x[n : 2 * n], ca.DM(rest[:n]))
-        motion = ca.vertcat(x[n : 2 * n], acceleration, ca.MX.zeros(scene.n_inputs))
+        strains, moving, _ = scene.layout.split(x)
+        acceleration = prestressed_acceleration(passive)(strains, moving, ca.DM(rest[:n]))
+        motion = ca.vertcat(moving, acceleration, ca.MX.zeros(scene.n_inputs))
         fields = scene.field_map(self.stations).function(x)
         function = ca.Function("tangent", [x], [fields, ca.jtimes(fields, x, motion)])
         y, velocity = (np.asarray(v).T for v in function.map(count)(states.T))
-        return PhaseSamples(y, states[:, 2 * n :], velocity)
+        return PhaseSamples(y, states[:, scene.layout.inputs], velocity)
 
 
-def _at_rest(state: Array, n: int) -> Array:
-    return np.concatenate([state[:n], np.zeros(n)])
+def _at_rest(scene: Scene, strains: Array) -> Array:
+    return scene.at_rest(strains, np.zeros(scene.n_inputs))

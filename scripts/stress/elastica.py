@@ -149,7 +149,7 @@ def followed(scene: rod.Scene, u: Array, steps: int = 40) -> tuple[Array | None,
         if np.linalg.eigvals(np.linalg.solve(stiffness, at(found, factor + step)[1])).real.min() <= 0.0:
             return None, factor
         x, rate, factor, step = found, (found - x) / step, factor + step, min(1.3 * step, 1.0 / steps)
-    return np.concatenate([x, np.zeros(scene.n_strains), u]), 1.0
+    return scene.at_rest(x, u), 1.0
 
 
 def _newton(at: Callable[[Array, float], tuple[Array, Array]], x: Array, factor: float) -> Array | None:

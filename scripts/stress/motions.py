@@ -39,13 +39,10 @@ class Motion:
 
     def on(self, nodes: int) -> Motion:
         """The same motion on another number of nodes an element; rest goes to rest, other states are interpolated."""
-        finer, n, m = self.scene.with_nodes(nodes), self.scene.n_strains, self.scene.n_inputs
+        finer, m = self.scene.with_nodes(nodes), self.scene.n_inputs
+        strains, moving, u = self.scene.layout.split(self.start)
         weights = self.scene.rule.interpolate(finer.rule.nodes)
-        xi, rates = (
-            np.asarray(weights @ part.reshape(self.scene.nodes, -1)).ravel()
-            for part in (self.start[:n], self.start[n : 2 * n])
-        )
-        u = self.start[2 * n :]
+        xi, rates = (np.asarray(weights @ part.reshape(self.scene.nodes, -1)).ravel() for part in (strains, moving))
         return Motion(finer, self.dt, self.u, np.concatenate([xi, rates, u if m else np.zeros(0)]), self.options)
 
 

@@ -25,7 +25,7 @@ def build(described: Description) -> tuple[rod.Scene, float, Array]:
 
 def unloaded(scene: rod.Scene) -> Array:
     """State of the unloaded rod at rest under zero inputs."""
-    return np.concatenate([scene.rest_coordinates, np.zeros(scene.n_strains + scene.n_inputs)])
+    return scene.at_rest(scene.rest_coordinates, np.zeros(scene.n_inputs))
 
 
 def _inputs(described: Description, size: Array) -> Array:

@@ -78,10 +78,10 @@ def energies(scene: Scene, x: ArrayLike) -> Energies:
     Raises ValueError for a base that moves, and for states so large that the energies overflow.
     """
     states = finite_array(x, "x", (None, scene.n_states))
-    n = scene.n_strains
+    strains, rates, _ = scene.layout.split(states)
     with lock_of(scene):
         function = stored(scene)
-        parts = function.map(len(states))(states[:, :n].T, states[:, n : 2 * n].T) if len(states) else np.empty((3, 0))
+        parts = function.map(len(states))(strains.T, rates.T) if len(states) else np.empty((3, 0))
     kinetic, elastic, gravity = (finite_answer(np.asarray(part).ravel(), "energies") for part in parts)
     return Energies(kinetic, elastic, gravity)
 

@@ -96,9 +96,8 @@ class Fields(Rebuilt):
     @cached_property
     def function(self) -> ca.Function:
         """``x -> fields`` (24 S,) of a state [xi, xi_t, u]."""
-        n, m = self.scene.n_strains, self.scene.n_inputs
         x = ca.MX.sym("x", self.scene.n_states)
-        xi, xi_t, u = x[:n], x[n : 2 * n], x[2 * n : 2 * n + m]
+        xi, xi_t, u = self.scene.layout.split(x)
         y = self.symbolic(xi, xi_t, self.scene.acceleration(xi, xi_t, u), u)
         return ca.Function("fields", [x], [y], ["x"], ["y"])
 

@@ -108,7 +108,7 @@ def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> 
 
 def _eigen(scene: Scene, state: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Eigenvalues (M,) and vectors (2 n, M) of the linear dynamics, of motions that leave a held tip in its place."""
-    made, n = scene.linearise(state).A, scene.n_strains
+    made, (strains, _, inputs) = scene.linearise(state).A, scene.layout.split(state)
     *_, balance = scene.static_balance
     if balance.holding is None:
         values, vectors = np.linalg.eig(made)
@@ -116,7 +116,7 @@ def _eigen(scene: Scene, state: Array) -> tuple[NDArray[np.complex128], NDArray[
     xi, u, _ = scene.static_balance
     slope = ca.Function("slope", [xi, u], [balance.holding.slope @ ca.diag(ca.DM(scene.nominal_strains))])
     unit = np.tile(scene.nominal_strains, 2)
-    basis = null_space(np.asarray(slope(state[:n], state[2 * n :])), rcond=1e-9)
+    basis = null_space(np.asarray(slope(strains, inputs)), rcond=1e-9)
     both = np.kron(np.eye(2), basis)
     values, vectors = np.linalg.eig(both.T @ (made * unit / unit[:, None]) @ both)
     return values.astype(np.complex128), (unit[:, None] * (both @ vectors)).astype(np.complex128)
@@ -126,5 +126,5 @@ def _position_slope(scene: Scene, points: tuple[float, ...], state: Array) -> Ar
     """Derivative (3 S, n_strains) of the positions at arclengths."""
     xi, u, balance = scene.static_balance
     slope = ca.jacobian(ca.vec(balance.motion.position_at(list(points))), xi)
-    n = scene.n_strains
-    return np.asarray(ca.Function("slope", [xi, u], [slope])(state[:n], state[2 * n :]), dtype=np.float64)
+    strains, _, inputs = scene.layout.split(state)
+    return np.asarray(ca.Function("slope", [xi, u], [slope])(strains, inputs), dtype=np.float64)

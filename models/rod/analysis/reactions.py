@@ -26,7 +26,6 @@ def reactions(scene: Scene, x: ArrayLike) -> Array:
     """
     states = np.asarray(x, dtype=np.float64)
     flat = finite_array(states.reshape(-1, states.shape[-1]) if states.ndim else states, "x", (None, scene.n_states))
-    n = scene.n_strains
     with lock_of(scene):
         if "_reactions" not in scene.__dict__:
             xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
@@ -35,8 +34,8 @@ def reactions(scene: Scene, x: ArrayLike) -> Array:
             scene.__dict__["_reactions"] = ca.Function(
                 "reactions", [xi, xi_t, xi_tt, u], [balance.reaction], {"cse": True}
             )
-        parts = flat[:, :n].T, flat[:, n : 2 * n].T, flat[:, 2 * n :].T
-        bends = scene.acceleration.map(len(flat))(*parts) if len(flat) else np.empty((n, 0))
+        parts = tuple(part.T for part in scene.layout.split(flat))
+        bends = scene.acceleration.map(len(flat))(*parts) if len(flat) else np.empty((scene.n_strains, 0))
         made = scene.__dict__["_reactions"]
         found = np.asarray(made.map(len(flat))(*parts[:2], bends, parts[2])).T if len(flat) else np.empty((0, 6))
     return finite_answer(found, "reactions").reshape(*states.shape[:-1], 6)

@@ -77,7 +77,13 @@ class Collocation(Rebuilt):
     def symbols(self) -> tuple[ca.MX, ...]:
         """Of a step: x, u0, u1, h, z."""
         n, m = self.equations.n_strains, self.equations.n_inputs
-        sizes = {"x": (2 * n, 1), "u0": (m, 1), "u1": (m, 1), "h": (1, 1), "z": (n, self.stages)}
+        sizes = {
+            "x": (self.equations.layout.n_moving, 1),
+            "u0": (m, 1),
+            "u1": (m, 1),
+            "h": (1, 1),
+            "z": (n, self.stages),
+        }
         return tuple(ca.MX.sym(name, *size) for name, size in sizes.items())
 
     def corrected(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX, inverse: ca.MX) -> tuple[ca.MX, ca.MX]:

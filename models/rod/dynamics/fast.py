@@ -131,9 +131,9 @@ class FastStepper(Stepper):
     @cached_property
     def _calls(self) -> dict[int, ca.Function]:
         """``([x, u], commands) -> [x, u], [x; correction; defect]`` of as many control intervals as the key says."""
-        n, m = self.equations.n_strains, self.equations.n_inputs
-        state, command = ca.MX.sym("state", 2 * n + m), ca.MX.sym("command", m)
-        x, before, sizes = state[: 2 * n], state[2 * n :], []
+        layout = self.equations.layout
+        state, command = ca.MX.sym("state", layout.size), ca.MX.sym("command", layout.n_inputs)
+        x, before, sizes = state[layout.moving], state[layout.inputs], []
         for k in range(self.substeps):
             u0, u1 = (before + (command - before) * ((k + j) / self.substeps) for j in (0, 1))
             x, *found = self.one(x, u0, u1, self.dt / self.substeps)
@@ -186,9 +186,9 @@ class FastStepper(Stepper):
     def _as_far_as_possible(self, start: Array, commands: Array, energy: bool) -> tuple[Array, dict[str, int], str]:
         if energy:
             return super()._as_far_as_possible(start, commands, energy)
-        n = self.scene.n_strains
+        layout = self.scene.layout
         taken = self._last = _Taken()
-        x, before, size, depth = start[: 2 * n], start[2 * n :], CALLS[1], 0
+        x, before, size, depth = start[layout.moving], start[layout.inputs], CALLS[1], 0
         while len(taken.rows) < len(commands) and not taken.message:
             k = len(taken.rows)
             size = next(c for c in CALLS if c <= min(size, len(commands) - k))
@@ -200,17 +200,17 @@ class FastStepper(Stepper):
                 x, before = taken.rows[-1] if taken.rows else x, commands[k + good]
             size = 4 * size if good == size else 1
         stats = {"nsteps": taken.steps, "halved": len(taken.halved), "idas": len(taken.idas)}
-        return np.array(taken.rows).reshape(len(taken.rows), 2 * n), stats, taken.message
+        return np.array(taken.rows).reshape(len(taken.rows), layout.n_moving), stats, taken.message
 
     def _together(self, taken: _Taken, x: Array, before: Array, commands: Array) -> int:
         """How many of the first ``commands`` pass in one call; their states are appended."""
-        n, size = self.scene.n_strains, len(commands)
+        moving, size = self.scene.layout.moving, len(commands)
         try:
             _, found = self._calls[size](np.concatenate([x, before]), commands.T)
         except RuntimeError:  # a singular matrix, somewhere
             return 0
         rows = np.asarray(found).T
-        states, corrections, defects = rows[:, : 2 * n], rows[:, -2], rows[:, -1]
+        states, corrections, defects = rows[:, moving], rows[:, -2], rows[:, -1]
         with np.errstate(invalid="ignore"):
             passes = (corrections <= CONVERGED * self.substeps) & (defects <= SMALL_DEFECT * self.substeps)
         good = size if passes.all() else int(np.argmin(passes))

@@ -102,22 +102,24 @@ class Simulator(Propagation):
             commands: (T, n_inputs).
             energy: whether to add the work of every term since the start.
         """
-        n, steps = self.scene.n_strains, len(commands)
+        layout, steps = self.scene.layout, len(commands)
+        strains, moving, before = layout.split(start)
         if self.inputs == "ramp":
-            origin = np.vstack([start[2 * n :], commands[:-1]])
+            origin = np.vstack([before, commands[:-1]])
             slope = (commands - origin) / self.dt
         else:
             origin, slope = commands, np.zeros_like(commands)
         controls = np.hstack([origin - slope * self.dt * np.arange(steps)[:, None], slope])
         t = self.dt * np.arange(1, steps + 1)
-        moving, level = start[n : 2 * n], self._level(start, commands) if steps > 1 else 0
-        accelerations = np.asarray(self.equations.acceleration(start[:n], moving, origin[0])).ravel()
+        level = self._level(start, commands) if steps > 1 else 0
+        accelerations = np.asarray(self.equations.acceleration(strains, moving, origin[0])).ravel()
         failure: RuntimeError | None = None
         for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
             integrator = self._integrator(steps, correct, energy, level)
             rates = np.concatenate([of_strains * moving, of_rates * accelerations])
             fading = self._fading_time(rates)
-            given = {"x0": np.zeros(2 * n), "z0": accelerations, "p": np.concatenate([start[: 2 * n], rates, [fading]])}
+            held = np.concatenate([start[layout.moving], rates, [fading]])
+            given = {"x0": np.zeros(layout.n_moving), "z0": accelerations, "p": held}
             try:
                 found = integrator(**given, u=controls.T)
             except RuntimeError as error:
@@ -126,7 +128,7 @@ class Simulator(Propagation):
                     break
                 continue
             carried = -fading * np.expm1(-t / fading)[:, None] * rates
-            states = start[: 2 * n] + carried + np.asarray(found["xf"]).T
+            states = start[layout.moving] + carried + np.asarray(found["xf"]).T
             if energy:
                 states = np.hstack([states, np.asarray(found["qf"]).T])
             if np.all(np.isfinite(states)):
@@ -177,7 +179,8 @@ class Simulator(Propagation):
         strain rates at the start.
         """
         n, unit, residual = self.scene.n_strains, self.equations.nominal_strains, self.equations.nominal_residual
-        xi, rest = start[:n], np.zeros(n)
+        xi, moving, _ = self.scene.layout.split(start)
+        rest = np.zeros(n)
 
         def balance(strains: Array, u: Array) -> Array:
             return np.asarray(self._balance(strains, rest, rest, u)).ravel() / residual
@@ -189,7 +192,7 @@ class Simulator(Propagation):
             ways = np.linalg.solve(stiffness.T / STEP, forces.T)
         except np.linalg.LinAlgError:
             return 1.0
-        rates = np.abs(start[n : 2 * n]) / self._nominal[n : 2 * n]
+        rates = np.abs(moving) / self._nominal[self.scene.layout.rates]
         size = max(float(np.abs(ways).max()), float(rates.max()))
         return size / TYPICAL if np.isfinite(size) else 1.0
 
@@ -219,12 +222,12 @@ class Simulator(Propagation):
         what of y0' is carried so.
         """
         scene = self.equations
-        n, m = scene.n_strains, scene.n_inputs
-        deviation, z = ca.MX.sym("deviation", 2 * n), ca.MX.sym("z", n)
-        start, fading = ca.MX.sym("start", 4 * n), ca.MX.sym("fading")
+        n, m, q = scene.n_strains, scene.n_inputs, scene.layout.n_moving
+        deviation, z = ca.MX.sym("deviation", q), ca.MX.sym("z", n)
+        start, fading = ca.MX.sym("start", 2 * q), ca.MX.sym("fading")
         control, t = ca.MX.sym("control", 2 * m), ca.MX.sym("t")
         fade = ca.exp(-t / fading)
-        x = start[: 2 * n] + fading * (1.0 - fade) * start[2 * n :] + deviation
+        x = start[:q] + fading * (1.0 - fade) * start[q:] + deviation
         u = control[:m] + control[m:] * t
         dae = {
             "x": deviation,
@@ -232,7 +235,7 @@ class Simulator(Propagation):
             "p": ca.vertcat(start, fading),
             "u": control,
             "t": t,
-            "ode": ca.vertcat(x[n:], z) - fade * start[2 * n :],
+            "ode": ca.vertcat(x[n:], z) - fade * start[q:],
             "alg": self._balance(x[:n], x[n:], z, u),
         }
         if energy:

@@ -79,20 +79,20 @@ class Projection(Rebuilt):
         Raises ValueError for a state far from the conditions, or one at which they depend on one another (a straight
         rod that cannot be compressed).
         """
-        n, found = self.scene.n_strains, x.copy()
+        found, layout = x.copy(), self.scene.layout
         for k in range(CORRECTIONS):
-            g, slope, _, soft = (np.asarray(v) for v in self._conditions(found[:n], found[n : 2 * n], found[2 * n :]))
+            g, slope, _, soft = (np.asarray(v) for v in self._conditions(*layout.split(found)))
             worst = float(np.abs(g).max())
             if k == 0 and not worst <= FAR:
                 raise ValueError(
                     f"the tip of {what} is {worst:.2g} (parts of L, rad) from where it is held under its inputs; "
                     "start from statics().solve(u).state, and give rates that fit the pose"
                 )
-            found[:n] -= (soft @ self._weights(slope @ soft, g, what)).ravel()
+            found[layout.strains] -= (soft @ self._weights(slope @ soft, g, what)).ravel()
             if worst <= LEFT:
                 break
-        _, slope, g_t, soft = (np.asarray(v) for v in self._conditions(found[:n], found[n : 2 * n], found[2 * n :]))
-        found[n : 2 * n] -= (soft @ self._weights(slope @ soft, g_t, what)).ravel()
+        _, slope, g_t, soft = (np.asarray(v) for v in self._conditions(*layout.split(found)))
+        found[layout.rates] -= (soft @ self._weights(slope @ soft, g_t, what)).ravel()
         return found
 
     def _weights(self, response: Array, missed: Array, what: str) -> Array:

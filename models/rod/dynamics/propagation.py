@@ -167,7 +167,7 @@ class Propagation(Rebuilt, ABC):
             states, stats, message = self._as_far_as_possible(start, commands, energy)
         states, lost = self._put_back(states, commands)
         message = lost or message
-        done, size = len(states), 2 * self.scene.n_strains
+        done, size = len(states), self.scene.layout.n_moving
         found = Trajectory(
             t=self.dt * np.arange(done + 1, dtype=np.float64),
             x=np.vstack([start, np.hstack([states[:, :size], commands[:done]])]),
@@ -191,7 +191,7 @@ class Propagation(Rebuilt, ABC):
 
     def _as_far_as_possible(self, start: Array, commands: Array, energy: bool) -> tuple[Array, dict[str, int], str]:
         """Step by step until a step fails."""
-        size = 2 * self.scene.n_strains
+        size = self.scene.layout.n_moving
         width = size + (len(self.scene.terms) if energy else 0)
         states: list[Array] = []
         total = dict.fromkeys(self.counters, 0)
@@ -328,7 +328,7 @@ class Propagation(Rebuilt, ABC):
         """
         if self.projection is None:
             return rows, ""
-        size, placed = 2 * self.scene.n_strains, rows.copy()
+        size, placed = self.scene.layout.n_moving, rows.copy()
         for k, row in enumerate(rows):
             at = f"the state after step {k}"
             try:

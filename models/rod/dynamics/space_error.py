@@ -45,9 +45,10 @@ class SpaceError(Rebuilt):
 
         Infinite where it overflows.
         """
-        n, fine, steps = self.scene.n_strains, self.finer.n_strains, len(found.t)
-        states = [self.resolution.interpolated(found.x[:, k * n : (k + 1) * n]) for k in (0, 1)]
-        given = found.x[:, :n].T, found.x[:, n : 2 * n].T, found.x[:, 2 * n :].T
+        fine, steps = self.finer.n_strains, len(found.t)
+        strains, rates, inputs = self.scene.layout.split(found.x)
+        states = [self.resolution.interpolated(part) for part in (strains, rates)]
+        given = strains.T, rates.T, inputs.T
         bends = np.asarray(self.scene.acceleration.map(steps)(*given)).T
         motion = np.hstack([*states, self.resolution.interpolated(bends)])
         defects = np.asarray(self._defect.map(steps)(motion.T, given[2])).T
@@ -57,14 +58,14 @@ class SpaceError(Rebuilt):
         deviation[0] = state[:fine]
         anchors = np.unique(np.linspace(min(1, steps - 1), steps - 1, ANCHORS).astype(int))
         nearest = np.abs(np.arange(steps)[:, None] - anchors).argmin(axis=1)
-        flows = {k: self._flow(motion[k], found.x[k, 2 * n :], found.t[1]) for k in anchors}
+        flows = {k: self._flow(motion[k], inputs[k], found.t[1]) for k in anchors}
         for k in range(1, steps):
             flow = flows[anchors[nearest[k]]]
             state = flow @ np.concatenate([state, defects[k - 1], defects[k] - defects[k - 1]])
             deviation[k] = state[:fine]
         here, there = (
-            np.asarray(shapes.map(steps)(strains.T, given[2])).T.reshape(steps, POINTS, 3)
-            for shapes, strains in zip(self.resolution.shapes, (found.x[:, :n], states[0] + deviation), strict=True)
+            np.asarray(shapes.map(steps)(shape.T, given[2])).T.reshape(steps, POINTS, 3)
+            for shapes, shape in zip(self.resolution.shapes, (strains, states[0] + deviation), strict=True)
         )
         distance = np.nan_to_num(np.linalg.norm(here - there, axis=2).max(axis=1), nan=np.inf)
         return MotionError(distance, float(np.linalg.norm(here - here[0], axis=2).max()))

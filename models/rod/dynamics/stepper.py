@@ -88,8 +88,8 @@ class Stepper(Propagation):
             commands: (T, n_inputs).
             energy: whether to add the work of every term since the start.
         """
-        n = self.scene.n_strains
-        x, before = start[: 2 * n], start[2 * n :]
+        layout = self.scene.layout
+        x, before = start[layout.moving], start[layout.inputs]
         march, taken = March(self.collocation, self.tolerance), 0
         work = np.zeros(len(self.scene.terms) if energy else 0)
         rows = []
@@ -124,22 +124,23 @@ class Stepper(Propagation):
 
         Raises RuntimeError where the step fails.
         """
-        n, m = self.scene.n_strains, self.scene.n_inputs
+        m, layout = self.scene.n_inputs, self.scene.layout
+        q = layout.n_moving
         start = finite_array(x, "x", (self.scene.n_states,))
         command = self.scene.checked_inputs(u, "u", (m,))
-        slope = np.hstack([np.eye(2 * n), np.zeros((2 * n, 2 * m))])  # d [xi, xi_t] / d [xi, xi_t, u before, command]
+        slope = np.hstack([np.eye(q), np.zeros((q, 2 * m))])  # d [xi, xi_t] / d [xi, xi_t, u before, command]
         time = 0.0
-        end = start[: 2 * n]
+        end = start[layout.moving]
         march = March(self.collocation, self.tolerance)
-        for piece in march.interval(start[: 2 * n], start[2 * n :], command, self.dt, self.substeps):
+        for piece in march.interval(start[layout.moving], start[layout.inputs], command, self.dt, self.substeps):
             ends = np.array([time, time + piece.h]) / self.dt
             slope = self._slope(piece, slope, ends)
             time, end = time + piece.h, piece.end
-        below = np.zeros((m, 2 * n + m))
+        below = np.zeros((m, layout.size))
         return StepSensitivity(
             x=np.concatenate([end, command]),
-            d_state=np.vstack([slope[:, : 2 * n + m], below]),
-            d_input=np.vstack([slope[:, 2 * n + m :], np.eye(m)]),
+            d_state=np.vstack([slope[:, : layout.size], below]),
+            d_input=np.vstack([slope[:, layout.size :], np.eye(m)]),
         )
 
     def _slope(self, piece: Piece, slope: Array, ends: Array) -> Array:
@@ -152,8 +153,8 @@ class Stepper(Propagation):
         d_xi, d_xi_t = slope[:n], slope[n:]
         d_inputs = np.zeros((2, m, slope.shape[1]))  # of the inputs at both ends of the piece
         for k, fraction in enumerate(ends):
-            d_inputs[k, :, 2 * n : 2 * n + m] = (1.0 - fraction) * np.eye(m)
-            d_inputs[k, :, 2 * n + m :] = fraction * np.eye(m)
+            d_inputs[k, :, self.scene.layout.inputs] = (1.0 - fraction) * np.eye(m)
+            d_inputs[k, :, self.scene.n_states :] = fraction * np.eye(m)
         rows = []
         for i, c in enumerate(scheme.c):
             d_u = d_inputs[0] + c * (d_inputs[1] - d_inputs[0])

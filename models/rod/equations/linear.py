@@ -89,7 +89,7 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
     symbols = [xi, xi_t, xi_tt, u]
     jacobian = ca.Function("jacobian", symbols, slopes(balance, symbols), {"cse": True})
-    parts = x[:n], x[n : 2 * n], x[2 * n :]
+    parts = scene.layout.split(x)
     with lock_of(scene):
         acceleration = scene.acceleration(*parts)
     d_xi, d_rate, mass, d_u = (np.asarray(v) for v in jacobian(parts[0], parts[1], acceleration, parts[2]))

@@ -80,9 +80,9 @@ class Tangent:
 
     def sensitivity(self, state: Array) -> PoseSensitivity:
         """Derivatives at an equilibrium ``state`` [xi, 0, u] (n_states,), by the implicit function theorem."""
-        n, m = self.scene.n_strains, self.scene.n_inputs
-        inputs = np.concatenate([state[2 * n :], np.zeros(6)])
-        values = [finite_answer(np.asarray(v), "derivatives of the balance") for v in self._function(state[:n], inputs)]
+        m, (strains, _, u) = self.scene.n_inputs, self.scene.layout.split(state)
+        inputs = np.concatenate([u, np.zeros(6)])
+        values = [finite_answer(np.asarray(v), "derivatives of the balance") for v in self._function(strains, inputs)]
         p, frame, r_xi, r_u, p_xi, p_u, frame_xi, frame_u = values
         try:
             follow: Array = np.asarray(-np.linalg.solve(r_xi, r_u), dtype=np.float64)
@@ -97,14 +97,14 @@ class Tangent:
 
 def stability(scene: Scene, state: Array) -> Stability:
     """Tangent stiffness of ``scene`` at an equilibrium ``state`` [xi, 0, u], in parts of the elastic one."""
-    n = scene.n_strains
+    strains, _, inputs = scene.layout.split(state)
     if "_stiffness" not in scene.__dict__:
         xi, u, balance = scene.static_balance
         weights = ca.DM(np.repeat(scene.rule.weights, scene.rod.strain_set.n_fields))
         bare = replace(balance, terms=())
         pair = [-ca.diag(weights) @ ca.jacobian(b.residual, xi) for b in (balance, bare)]
         scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": True})
-    found = scene.__dict__["_stiffness"](state[:n], state[2 * n :])
+    found = scene.__dict__["_stiffness"](strains, inputs)
     tangent, elastic = (finite_answer(np.asarray(k), "stiffnesses") for k in found)
     symmetric, skew = 0.5 * (tangent + tangent.T), 0.5 * (tangent - tangent.T)
     values, modes = eigh(symmetric, elastic, subset_by_index=[0, 0])

@@ -102,7 +102,7 @@ def board_step(scene: Scene, dt: float, substeps: int) -> ca.Function:
     stage = ca.Function("stage", [xi, rate, guess, u], [shape, v, a, left], {"never_inline": True})
 
     x, command = ca.MX.sym("x", scene.n_states), ca.MX.sym("u", m)
-    strains, rates, start = x[:n], x[n : 2 * n], x[2 * n :]
+    strains, rates, start = scene.layout.split(x)
     a, worst = ca.MX.zeros(n), ca.MX(0.0)
     for k in range(substeps):
         at = [start + (command - start) * (k + c) / substeps for c in (GAMMA, 1.0)]

@@ -82,7 +82,7 @@ def write_page(motion: Trajectory, path: str | os.PathLike[str], ghost: Trajecto
     if pull.shape[1]:
         charts.append(Chart("tensions (N)", [f"tendon {i + 1}" for i in range(pull.shape[1])], pull.T))
     if scene.n_inputs:
-        inputs = np.vstack([motion.x[:1, 2 * scene.n_strains :], motion.u]).T
+        inputs = np.vstack([motion.x[:1, scene.layout.inputs], motion.u]).T
         unit = scene.input_units[0] if len(set(scene.input_units)) == 1 else ""
         shown, factor = ("mm", 1e3) if unit == "m" else (unit, 1.0)
         charts.append(Chart(labelled("inputs", shown), scene.input_names, factor * inputs))

@@ -10,6 +10,7 @@ from functools import cached_property
 from pisplit.checks import count
 from pisplit.models.rod.equations.balance import Balance, collect_inputs
 from pisplit.models.rod.kinematics.gauss import Rule
+from pisplit.models.rod.scene.layout import Layout
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.chambers import Chambers
@@ -117,10 +118,15 @@ class Contents:
         """Number of input entries."""
         return sum(i.size for i in self.inputs)
 
+    @cached_property
+    def layout(self) -> Layout:
+        """Where what stands in a state."""
+        return Layout(self.n_strains, self.n_inputs)
+
     @property
     def n_states(self) -> int:
         """Length of the state [xi, xi_t, u]."""
-        return 2 * self.n_strains + self.n_inputs
+        return self.layout.size
 
     @property
     def input_names(self) -> tuple[str, ...]:

@@ -148,6 +148,11 @@ class Equations(Contents):
             ]
         )
 
+    def at_rest(self, strains: Array, u: Array) -> Array:
+        """States (..., n_states) at rest with ``strains`` (..., n_strains) under inputs ``u`` (..., n_inputs)."""
+        still = np.zeros((*strains.shape[:-1], self.layout.n_moving - self.n_strains))
+        return np.concatenate([strains, still, u], axis=-1)
+
     def checked_inputs(self, u: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
         """Inputs as an array.
 

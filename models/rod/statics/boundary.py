@@ -183,7 +183,7 @@ class FixedTip(Rebuilt):
 
     def _pose(self, y: Array, u: Array) -> tuple[Array, Rotation]:
         n = self.scene.n_strains
-        state = np.concatenate([self._search.strains(self.whitened.unknowns(y[:n])), np.zeros(n), u])
+        state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
         fields = self.scene.fields(state, [self.scene.rod.length])[0]
         return fields[:3], _rotation().from_matrix(fields[3:12].reshape(3, 3))
 
@@ -303,7 +303,7 @@ class FixedTip(Rebuilt):
         else:
             message = f"{where}; lost stability at {', '.join(lost)}" if lost else where
         wrench = self._wrench(y[n:], pose[3:].reshape(3, 3, order="F"), np.zeros(3), np.zeros(3))
-        state = np.concatenate([self._search.strains(self.whitened.unknowns(y[:n])), np.zeros(n), u])
+        state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
         return FixedTipEquilibrium(
             state,
             *wrench,

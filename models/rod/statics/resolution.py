@@ -58,12 +58,12 @@ class Resolution(Rebuilt):
 
         Infinite where the finer balance has no slopes (at the load at which the rod buckles), or overflows.
         """
-        n, u = self.scene.n_strains, state[2 * self.scene.n_strains :]
-        better = self.interpolated(state[:n])
+        strains, _, u = self.scene.layout.split(state)
+        better = self.interpolated(strains)
         better = better + self._newton_step(better, u)
         if not np.isfinite(better).all():
             return float("inf")
-        here, there = (np.asarray(f(x, u)) for f, x in zip(self.shapes, (state[:n], better), strict=True))
+        here, there = (np.asarray(f(x, u)) for f, x in zip(self.shapes, (strains, better), strict=True))
         return float(np.linalg.norm(here - there, axis=0).max()) / self.scene.rod.length
 
     def check(self, states: Array) -> None:
@@ -71,7 +71,7 @@ class Resolution(Rebuilt):
 
         States that are hardly more bent than one that was checked before are not checked again.
         """
-        scaled = (states[:, : self.scene.n_strains] - self.scene.rest_coordinates) / self.scene.nominal_strains
+        scaled = (self.scene.layout.split(states).strains - self.scene.rest_coordinates) / self.scene.nominal_strains
         bent = np.abs(scaled).max(axis=1, initial=0.0)
         if len(bent) == 0 or bent.max() <= GROWTH * self.checked:
             return
@@ -111,12 +111,12 @@ class Resolution(Rebuilt):
 
     def _refined(self, state: Array) -> Iterator[tuple[Resolution, Array]]:
         """Grids of more and more nodes, and the equilibrium near ``state`` on each."""
-        here, u = self, state[2 * self.scene.n_strains :]
+        here, u = self, self.scene.layout.split(state).inputs
         while max(here.scene.element_nodes) + MORE <= MOST:
-            xi = here._root_near(here.interpolated(state[: here.scene.n_strains]), u)
+            xi = here._root_near(here.interpolated(here.scene.layout.split(state).strains), u)
             if xi is None:
                 return
-            here, state = Resolution(here.finer), np.concatenate([xi, np.zeros_like(xi), u])
+            here, state = Resolution(here.finer), here.finer.at_rest(xi, u)
             yield here, state
 
     def on_finer(self, state: Array) -> Array:
@@ -124,9 +124,9 @@ class Resolution(Rebuilt):
 
         An equilibrium so goes to the one there; what is let go is pulled back by what pulled it on its own grid.
         """
-        n = self.scene.n_strains
-        xi, rates, u = self.interpolated(state[:n]), self.interpolated(state[n : 2 * n]), state[2 * n :]
-        force = self.interpolated(np.asarray(self._balance(state[:n], u)).ravel())
+        strains, rates, u = self.scene.layout.split(state)
+        xi, rates = self.interpolated(strains), self.interpolated(rates)
+        force = self.interpolated(np.asarray(self._balance(strains, u)).ravel())
         root = self._root_near(xi, u, 0.0 if np.abs(force).max() < BALANCED else force)
         return np.concatenate([xi if root is None else root, rates, u])
 

@@ -105,7 +105,7 @@ class Statics(Rebuilt):
             residual = search.worst(x, u)
         success = bool(residual <= TOLERANCE and verdict.branch != "unverified")
         tensions, slack = self._read(x, u)
-        state = np.concatenate([search.strains(x), np.zeros(scene.n_strains), u])
+        state = scene.at_rest(search.strains(x), u)
         self._check(state[None], success)
         return Equilibrium(
             state=state,
@@ -124,10 +124,11 @@ class Statics(Rebuilt):
 
     def _solve_held(self, held: HeldScene, u: Array, start: Array | None) -> Equilibrium:
         """Equilibrium with a held tip, near the strains ``start`` (n_strains,) if given."""
-        n, found = self.scene.n_strains, held.solve(u, start)
-        state = np.concatenate([found.state[: 2 * n], u])
+        found = held.solve(u, start)
+        strains = found.state[: self.scene.n_strains]
+        state = self.scene.at_rest(strains, u)
         self._check(state[None], found.success)
-        tensions, slack = self._read(self.search.scaled(state[:n]), u)
+        tensions, slack = self._read(self.search.scaled(strains), u)
         return Equilibrium(
             state=state,
             success=found.success,
@@ -162,12 +163,14 @@ class Statics(Rebuilt):
 
     def _verdict(self, x: Array, u: Array, converged: bool, start: Array | None, guess: ArrayLike | None) -> Verdict:
         """What is known of the candidate ``x``; where it is not on the branch that was asked for, the one that is."""
-        branches, n = self.branches, self.scene.n_strains
+        branches = self.branches
         if start is None:
             return branches.of_root(x, u, converged)
         given = real_array(guess, "guess").ravel()  # type: ignore[arg-type]  # there is one where there is a start
-        if given.size == self.scene.n_states and branches.rests(start, given[2 * n :]):
-            return branches.of_state(x, u, start, given[2 * n :], converged)
+        if given.size == self.scene.n_states:
+            before = self.scene.layout.split(given).inputs
+            if branches.rests(start, before):
+                return branches.of_state(x, u, start, before, converged)
         return branches.near(x, u) if converged else branches.of_root(x, u, converged)
 
     @in_turn()
@@ -197,7 +200,8 @@ class Statics(Rebuilt):
             guess = self._affine_guess(rows)
         else:
             states = finite_array(near, "near", (len(rows), scene.n_states))
-            guess, before = search.scaled(states[:, : scene.n_strains]), states[:, 2 * scene.n_strains :]
+            strains, _, before = scene.layout.split(states)
+            guess = search.scaled(strains)
             resting = search.worst_of_rows(guess, before) <= RESTING
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
@@ -219,7 +223,7 @@ class Statics(Rebuilt):
         strains = search.strains(found)
         readings = self._readings.map(len(rows)) if len(rows) else None
         tensions = np.asarray(readings(strains.T, rows.T)[0]).T if readings else np.empty((0, 0))
-        states = np.hstack([strains, np.zeros_like(found), rows])
+        states = scene.at_rest(strains, rows)
         branch[worst > TOLERANCE] = "unverified"
         self._check(states, branch != "unverified")
         good, told = branch != "unverified", branch.astype(str)
@@ -256,7 +260,7 @@ class Statics(Rebuilt):
                 x, before, branch[k] = found[k], u, verdict.branch
             factor[k] = verdict.load_factor
             tensions.append(self._read(found[k], u)[0])
-        states = np.hstack([search.strains(found), np.zeros_like(found), rows])
+        states = scene.at_rest(search.strains(found), rows)
         self._check(states, branch != "unverified")
         good, told = branch != "unverified", branch.astype(str)
         return EquilibriumBatch(states, good, worst, np.array(tensions), told, factor, scene=self.scene)
@@ -289,11 +293,10 @@ class Statics(Rebuilt):
         Negative: unstable. Without an energy (follower loads, friction) it is the least real part of the eigenvalues,
         which rules out buckling, not flutter.
         """
-        x = checked_state(self.scene, state)
-        n = self.scene.n_strains
+        strains, _, u = self.scene.layout.split(checked_state(self.scene, state))
         if self.held is not None:
-            return self.held.margin(x[:n], x[2 * n :])
-        return self.branches.margin(self.search.scaled(x[:n]), x[2 * n :])
+            return self.held.margin(strains, u)
+        return self.branches.margin(self.search.scaled(strains), u)
 
     @in_turn()
     def stability(self, state: ArrayLike) -> Stability:
