@@ -39,6 +39,17 @@ def test_presets_differ_and_parts_can_be_left_out() -> None:
         disk_robot(4)
 
 
+def test_a_robot_that_creeps_differs_from_its_twin_in_motion_alone() -> None:
+    """Same shapes at rest; under the same commands the tip is elsewhere by millimetres on the way."""
+    plain, soft = (disk_robot(1, disks=False, friction=False, noise=False, creep=creep) for creep in (False, True))
+    assert soft.arm.scene.without(rod.Maxwell) == plain.arm.scene and soft.drawing == plain.drawing
+    assert len({disk_robot(preset, creep=True).arm.scene.branches for preset in (1, 2, 3)}) == 3
+    there = [r.rest_shapes(2, seed=1).fields for r in (plain, soft)]
+    assert np.abs(there[0] - there[1]).max() < 1e-8
+    moved = [r.record(1, seed=1, steps=12, workers=1, progress=False).xs[0][:, -24:-21] for r in (plain, soft)]
+    assert np.array_equal(moved[0][0], moved[1][0]) and np.abs(moved[0] - moved[1]).max() > 1e-3
+
+
 def test_recordings_hold_commands_and_noise_of_their_seed(robot: DiskRobot, recorded: Episodes, tmp_path: Path) -> None:
     noisy = DiskRobot(robot.arm, robot.drawing, robot.actuator, {"m": 1e-3}, 0.01)
     seen = [noisy.record(2, 3, 30, path=tmp_path / "d1.h5", workers=1, progress=False) for _ in range(2)]

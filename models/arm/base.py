@@ -62,6 +62,11 @@ class Arm:
         return self.scene.without(TendonTerm)
 
     @property
+    def backbone(self) -> rod.Scene:
+        """The same without Maxwell branches, whose stress no measured field shows: a function of strains and rates."""
+        return self.passive.without(rod.Maxwell)
+
+    @property
     def groups(self) -> tuple[TendonTerm, ...]:
         """Its groups of tendons from base to tip, as drawn (``rod.Tendons``) or as identified."""
         return tuple(t for t in self.scene.terms if isinstance(t, TendonTerm))

@@ -1,4 +1,4 @@
-"""A robot that is not its twin: disks, friction both ways, servos with lag and play, sensors with noise."""
+"""A robot that is not its twin: disks, friction both ways, servos with lag and play, creep, sensors with noise."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ PRESETS = {
     2: (10, 0.20, 0.05, 2e-4, 0.92, 1.06),
     3: (6, 0.05, 0.015, 5e-4, 1.08, 0.95),
 }
+#: Stiffness of the Maxwell branch in parts of the backbone's, and its relaxation time in s, by preset.
+CREEP = {1: (0.2, 0.5), 2: (0.3, 1.0), 3: (0.1, 0.2)}
 #: Nodes of the robot's rod (a drawing has 5), and the speed in m/s over which friction turns round.
 NODES, SLIP_SPEED = 6, 2e-3
 #: Noise by unit, and of frames in rad: a quarter of what is called noise elsewhere in this project.
@@ -38,7 +40,7 @@ class DiskRobot:
 
     Its tendons run straight from disk to disk and rub there both ways, servos lag and play, sensors are noisy; it moves
     by IDAS on another grid than models of the drawing. Its states are the 24 fields of every station, its inputs the
-    commands. Viscoelastic creep, which real backbones show too, is not in it.
+    commands. If asked for, its backbone creeps (``rod.Maxwell``), which its drawing does not.
 
     Attributes:
         arm: what moves.
@@ -139,6 +141,7 @@ def disk_robot(
     friction: bool = True,
     servos: bool = True,
     noise: bool = True,
+    creep: bool = False,
 ) -> DiskRobot:
     """The other robot: an arm of the paper's size, built otherwise than it is drawn.
 
@@ -148,6 +151,7 @@ def disk_robot(
         friction: whether they rub; at disks both ways, without disks as when they are pulled.
         servos: whether servos lag and play.
         noise: whether sensors are noisy.
+        creep: whether the backbone is viscoelastic (:data:`CREEP`); at rest it is as without.
 
     Raises ValueError for other presets.
     """
@@ -168,6 +172,7 @@ def disk_robot(
         slip_speed=SLIP_SPEED if disks and rubs > 0.0 else None,
     )
     terms = [tendons if term is drawn else term for term in scene.terms]
+    terms += [rod.Maxwell(*CREEP[preset])] if creep else []
     arm = TendonArm(
         rod.Scene(replace(scene.rod, material=built), *terms, nodes=NODES), drawing.pretension, drawing.amplitude
     )

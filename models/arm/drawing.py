@@ -118,6 +118,7 @@ def slowest(scene: rod.Scene, inputs: Array) -> tuple[float, float]:
 
     Raises ValueError where the arm does not rest: a drawing that buckles under its weight.
     """
+    scene = scene.without(rod.Maxwell)  # creep is no motion of its own
     modes = scene.modes(_at_rest(scene, inputs), 1)
     return float(2.0 * np.pi * modes.frequency[0]), float(modes.damping[0])
 

@@ -44,11 +44,16 @@ def phase_origin(
             f"known has {known.n_strains} strains and {known.n_inputs} inputs; "
             f"expected {n} and none: leave terms of the arm out with arm.scene.without(...)"
         )
+    if known is not None and known.branches:
+        raise ValueError(
+            "known has Maxwell branches, whose stress no measured field shows; leave them out with "
+            "known.without(rod.Maxwell)"
+        )
     return {
         **arm_origin(arm, "phase", stations, seed, law),
         "rates": _digest(finite_array(rates, "rates", (None, n))),
         "deviations": None if deviations is None else _digest(finite_array(deviations, "deviations", (None, n))),
-        "known": (arm.passive if known is None else known).fingerprint(stations),
+        "known": (arm.backbone if known is None else known).fingerprint(stations),
         "flow": None if dt is None else 0.5 * positive(dt, "dt", "s"),
     }
 
@@ -74,7 +79,7 @@ class PhaseTask:
 
     def __call__(self, k: int) -> Block:
         """Block ``k``: fields, inputs, passive derivative of the fields."""
-        known = self.arm.passive if self.known is None else self.known
+        known = self.arm.backbone if self.known is None else self.known
         statics, derivative = _known_derivative(self.arm, known, self.stations)
         scene = self.arm.scene
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(2, k)))
@@ -132,14 +137,14 @@ def make_phase_samples(
             Their covariance is added to the static shapes. Without them D2 is the paper's: its shapes span few
             directions, and what is fitted to them is undetermined in the others.
         law: input law of the shapes (:data:`LAWS`).
-        known: the arm as far as f knows it, without inputs (default: all but the tendons).
+        known: the arm as far as f knows it, without inputs (default: all but the tendons and Maxwell branches).
         dt: time step in s; with it the samples hold the flow of f over half of it, one integration each.
         compiled: integrate the flow by machine code (:func:`make_episodes`).
     """
     count(samples, "samples")
     identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt)
     if dt is not None and compiled:
-        _flow_simulator(arm.passive if known is None else known, 0.5 * dt, True)
+        _flow_simulator(arm.backbone if known is None else known, 0.5 * dt, True)
     n = arm.scene.n_strains
     factor = _gaussian_factor(rates, "rates", n)
     shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
@@ -176,7 +181,7 @@ def deviations_from_equilibrium(arm: Arm, episodes: Episodes) -> tuple[Array, Ar
     ``arm`` is the one that moved in ``episodes``. Raises ValueError for episodes of another arm and for recordings of a
     real one, whose strains nobody knows.
     """
-    strains, moving, u = arm.scene.layout.split(_simulated_states(arm, episodes))
+    strains, moving, _, u = arm.scene.layout.split(_simulated_states(arm, episodes))
     rest = arm.scene.statics().solve_many(u)
     kept = rest.success
     return strains[kept] - rest.states[kept, : arm.scene.n_strains], moving
@@ -220,9 +225,9 @@ def _known_derivative(arm: Arm, known: rod.Scene, stations: int) -> tuple[Any, c
     scene = arm.scene
     fields = scene.field_map(stations).function
     x = ca.MX.sym("x", scene.n_states)
-    strains, moving, _ = scene.layout.split(x)
+    strains, moving, *hidden = scene.layout.split(x)
     acceleration = known.acceleration(strains, moving, ca.MX(known.n_inputs, 1))
-    flow = ca.vertcat(moving, acceleration, ca.MX.zeros(scene.n_inputs))
+    flow = ca.vertcat(moving, acceleration, *(ca.MX.zeros(part.shape[0]) for part in hidden))
     y = fields(x)
     return scene.statics(), ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
 

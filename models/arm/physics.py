@@ -71,7 +71,7 @@ class ArmPhysics:
         return {
             "tangent": self.tangent_samples(),
             "equilibrium": equilibrium,
-            "ports": self.arm.passive.linearise(_at_rest(self.arm.passive, rest.strains)).stress_ports @ bending,
+            "ports": self.arm.backbone.linearise(_at_rest(self.arm.backbone, rest.strains)).stress_ports @ bending,
             "loads": loads,
         }
 
@@ -83,7 +83,7 @@ class ArmPhysics:
 
         ``seed`` decides the directions of the steps.
         """
-        scene, passive = self.arm.scene, self.arm.passive
+        scene, passive = self.arm.scene, self.arm.backbone
         n, count = scene.n_strains, 16 * scene.n_strains
         rest = scene.statics().solve(self.arm.rest_inputs).state
         rng = np.random.default_rng(seed)
@@ -93,9 +93,9 @@ class ArmPhysics:
         states = np.tile(rest, (count, 1))
         states[:, : 2 * n] += steps * np.concatenate([nominal, nominal * scene.rod.bending_rate])
         x = ca.MX.sym("x", scene.n_states)
-        strains, moving, _ = scene.layout.split(x)
+        strains, moving, *hidden = scene.layout.split(x)
         acceleration = prestressed_acceleration(passive)(strains, moving, ca.DM(rest[:n]))
-        motion = ca.vertcat(moving, acceleration, ca.MX.zeros(scene.n_inputs))
+        motion = ca.vertcat(moving, acceleration, *(ca.MX.zeros(part.shape[0]) for part in hidden))
         fields = scene.field_map(self.stations).function(x)
         function = ca.Function("tangent", [x], [fields, ca.jtimes(fields, x, motion)])
         y, velocity = (np.asarray(v).T for v in function.map(count)(states.T))

@@ -26,7 +26,7 @@ class ArmPredictor:
     Its states are the 24 fields at ``stations``; a prediction starts from the strains and rates that look most like
     what is measured there (``Sight.state``) and moves by large checked steps (``Scene.fast_stepper``). What it is worth
     is what the arm is: with the arm that made the recordings it is as good as its steps, with a drawing as good as the
-    drawing.
+    drawing. Maxwell branches of the arm start relaxed, for no field shows their stress.
 
     Args:
         arm: what moves: tendons pulled by displacements, of Kirchhoff strains.
@@ -62,7 +62,8 @@ class ArmPredictor:
             raise ValueError("before is empty; give the commands up to the start, or leave it out")
         moved, _ = self.actuator.simulate(np.vstack([past, u]), self.dt, ActuatorState.at(past[0]))
         x = finite_array(x0, "x0", (len(self.state_names),))
-        start = np.concatenate([self._sight.state(x), moved[len(past) - 1]])
+        hidden = np.zeros(self.arm.scene.layout.n_overstress)
+        start = np.concatenate([self._sight.state(x), hidden, moved[len(past) - 1]])
         found = self._stepper.run(moved[len(past) :], start, check=False)
         fields = found.fields(self.stations).reshape(len(found.x), -1)
         points = (fields[0] - x).reshape(-1, N_FIELDS)[:, :3]

@@ -40,7 +40,7 @@ class Sight:
         """state (2n,) -> entries (K,) and d entries / d state (K, 2n)."""
         n, fields = self.scene.n_strains, self.scene.field_map(self.stations).symbolic
         state = ca.SX.sym("state", 2 * n)
-        zero, rest = ca.SX.zeros(n), ca.SX.zeros(self.scene.n_inputs)
+        zero, rest = ca.SX.zeros(n), ca.SX.zeros(self.scene.layout.n_acting)
         entries = fields(state[:n], state[n:], zero, rest)[self.rows.tolist()]
         return ca.Function("sight", [state], [entries, ca.jacobian(entries, state)])
 

@@ -11,7 +11,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.calibration.model import Calibration, ParametrisedArm, nominal_parameters
+from pisplit.models.calibration.model import Calibration, ParametrisedArm, check_memory, nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.calibration.resting_shapes import LOST, RestingShapes, central_slope
@@ -151,6 +151,7 @@ def calibrate_from_pairs(
     Raises CalibrationError where these are too few and predictions are still off by 1e-3 of the spread, and
     RuntimeError where no pair could be simulated.
     """
+    check_memory(arm)
     n, m = arm.scene.n_strains, arm.scene.n_inputs
     positive(dt, "dt", "s")
     x0 = finite_array(before, "before", (None, 2 * n))

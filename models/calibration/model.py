@@ -132,6 +132,15 @@ def carried(arm: TendonArm) -> float:
     return float(sum(masses))
 
 
+def check_memory(arm: TendonArm) -> None:
+    """Raise ValueError for an ``arm`` with Maxwell branches: where its recordings start, their stress is unknown."""
+    if arm.scene.branches:
+        raise ValueError(
+            "the arm has Maxwell branches, whose stress no measured state tells: calibrate its shapes at rest, or give "
+            "an arm whose scene is scene.without(rod.Maxwell)"
+        )
+
+
 class ParametrisedArm:
     """The backbone with parametrised tendons, and which parameters are free.
 

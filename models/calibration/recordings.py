@@ -13,7 +13,7 @@ from pisplit.checks import Array, finite_array, non_negative, positive
 from pisplit.data.actuator import Actuator, checked_actuator
 from pisplit.models.arm.sight import Sight
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.calibration.model import Calibration, ParametrisedArm
+from pisplit.models.calibration.model import Calibration, ParametrisedArm, check_memory
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.calibration.resting_shapes import RestingShapes
@@ -88,6 +88,7 @@ def calibrate_from_recordings(
     y = finite_array(fields, "fields", (None, None, N_FIELDS * stations))
     if y.shape[1] < 2:
         raise ValueError("recordings hold one instant; expected two or more")
+    check_memory(arm)
     model = ParametrisedArm(arm, start, free, None if actuator is None else checked_actuator(actuator))
     given: Any = inputs
     if actuator is None:

@@ -22,6 +22,7 @@ from pisplit.models.rod.terms.drag import AnisotropicDrag, LinearDrag, Quadratic
 from pisplit.models.rod.terms.gravity import Gravity
 from pisplit.models.rod.terms.held import HeldTip
 from pisplit.models.rod.terms.loads import Input, NoEffect
+from pisplit.models.rod.terms.maxwell import Maxwell
 from pisplit.models.rod.terms.points import PointMass, PointWrench, Spring
 from pisplit.models.rod.terms.routing import Helix, Line
 from pisplit.models.rod.terms.tendons import Displacement, Tendons, Tension
@@ -44,6 +45,7 @@ __all__ = [
     "KelvinVoigt",
     "Line",
     "LinearDrag",
+    "Maxwell",
     "NoEffect",
     "PointMass",
     "PointWrench",

@@ -39,11 +39,12 @@ class Motion:
 
     def on(self, nodes: int) -> Motion:
         """The same motion on another number of nodes an element; rest goes to rest, other states are interpolated."""
-        finer, m = self.scene.with_nodes(nodes), self.scene.n_inputs
-        strains, moving, u = self.scene.layout.split(self.start)
+        finer = self.scene.with_nodes(nodes)
         weights = self.scene.rule.interpolate(finer.rule.nodes)
-        xi, rates = (np.asarray(weights @ part.reshape(self.scene.nodes, -1)).ravel() for part in (strains, moving))
-        return Motion(finer, self.dt, self.u, np.concatenate([xi, rates, u if m else np.zeros(0)]), self.options)
+        *parts, u = self.scene.layout.split(self.start)
+        fields = self.scene.rod.strain_set.n_fields
+        moving = [(weights @ part.reshape(-1, self.scene.nodes, fields)).ravel() for part in parts]
+        return Motion(finer, self.dt, self.u, np.concatenate([*moving, u]), self.options)
 
 
 def _held(scene: rod.Scene, u: Array, servos: Array | None = None) -> Array:

@@ -19,6 +19,7 @@ from pisplit.models.rod.terms.buoyancy import Buoyancy
 from pisplit.models.rod.terms.gravity import Gravity
 from pisplit.models.rod.terms.held import held_tip
 from pisplit.models.rod.terms.loads import Term, by_row
+from pisplit.models.rod.terms.maxwell import Maxwell
 from pisplit.models.rod.terms.points import PointMass
 
 if TYPE_CHECKING:
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Energies:
-    """Stored energies in J of N states: kinetic, elastic (of the rod) and gravity (of constant gravity), each (N,)."""
+    """Stored energies in J of N states: kinetic, elastic (of the rod and the springs of its Maxwell branches) and
+    gravity (of constant gravity), each (N,)."""
 
     kinetic: Array
     elastic: Array
@@ -50,7 +52,8 @@ class EnergyAccount:
         stored: kinetic, elastic and gravity energy (T+1,).
         work: name of a term -> work (T+1,) that it has done on the rod since the start. Tendons and springs count here:
             one that is stretched takes energy from the rod and gives it back later.
-        dissipated: energy (T+1,) that terms which act on rates alone (damping, drag) have taken since the start.
+        dissipated: energy (T+1,) that terms which act on rates alone (damping, drag) and dashpots of Maxwell branches
+            have taken since the start.
     """
 
     t: Array
@@ -78,10 +81,10 @@ def energies(scene: Scene, x: ArrayLike) -> Energies:
     Raises ValueError for a base that moves, and for states so large that the energies overflow.
     """
     states = finite_array(x, "x", (None, scene.n_states))
-    strains, rates, _ = scene.layout.split(states)
+    strains, rates, overstress, _ = scene.layout.split(states)
     with lock_of(scene):
         function = stored(scene)
-        parts = function.map(len(states))(strains.T, rates.T) if len(states) else np.empty((3, 0))
+        parts = function.map(len(states))(strains.T, rates.T, overstress.T) if len(states) else np.empty((3, 0))
     kinetic, elastic, gravity = (finite_answer(np.asarray(part).ravel(), "energies") for part in parts)
     return Energies(kinetic, elastic, gravity)
 
@@ -116,21 +119,24 @@ def term_names(scene: Scene) -> tuple[str, ...]:
 
 
 def stored(scene: Scene) -> ca.Function:
-    """``(xi, xi_t) -> kinetic, elastic, gravity`` energy in J of ``scene``.
+    """``(xi, xi_t, sigma) -> kinetic, elastic, gravity`` energy in J of ``scene``.
 
     Kinetic energy is half the rates times the mass matrix of the balance, elastic energy half the strains times the
     stress of the rod alone: the Gauss quadrature of the usual densities, for everything that has mass or stiffness.
+    The spring of a Maxwell branch holds K sigma^2 / (2 fraction) per length.
     """
     if "_stored" not in scene.__dict__:
         _check_base(scene)
         xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
         balance = replace(balance, reaction=None)  # what holds the tip has no mass
-        weights = ca.DM(_weights(scene))
+        weights, sigma = ca.DM(_weights(scene)), ca.SX.sym("sigma", scene.layout.n_overstress)
         momentum = -weights * ca.jtimes(balance.residual, xi_tt, xi_t)
         rest = _residual(scene, (), xi, ca.SX(scene.n_strains, 1), u)
         elastic = -0.5 * ca.dot(xi - ca.DM(scene.rest_coordinates), weights * rest)
+        for branch, s in zip(scene.branches, _by_branch(scene, sigma), strict=True):
+            elastic += 0.5 / branch.fraction * _square(scene, s)
         parts = [0.5 * ca.dot(xi_t, momentum), elastic, _potential(scene, xi)]
-        scene.__dict__["_stored"] = ca.Function("stored", [xi, xi_t], parts, {"cse": True})
+        scene.__dict__["_stored"] = ca.Function("stored", [xi, xi_t, sigma], parts, {"cse": True})
     found: ca.Function = scene.__dict__["_stored"]
     return found
 
@@ -139,21 +145,28 @@ def powers(scene: Scene) -> ca.Function:
     """``(xi, xi_t, u) -> power`` (n_terms,) in W that every term of ``scene`` puts into the motion.
 
     The power of a term is what it adds to the balance, times the rates, integrated along the rod. Inertia of added
-    masses is kinetic energy and not part of it; their weight is.
+    masses is kinetic energy and not part of it; their weight is. That of a Maxwell branch is what its dashpot loses,
+    for what its spring takes is stored: -K sigma^2 / (fraction time) per length. u is [sigma, u] (n_acting,).
     """
     if "_powers" not in scene.__dict__:
         _check_base(scene)
-        n = scene.n_strains
-        xi, xi_t, u = ca.SX.sym("xi", n), ca.SX.sym("xi_t", n), ca.SX.sym("u", scene.n_inputs)
+        n, layout = scene.n_strains, scene.layout
+        xi, xi_t, acting = ca.SX.sym("xi", n), ca.SX.sym("xi_t", n), ca.SX.sym("u", layout.n_acting)
+        u = acting[layout.n_overstress :]
+        lost = dict(zip(scene.branches, _by_branch(scene, acting[: layout.n_overstress]), strict=True))
         gravity = tuple(t for t in scene.terms if isinstance(t, Gravity))
         rates = ca.DM(_weights(scene)) * xi_t
         work = []
         for term in scene.terms:
+            if isinstance(term, Maxwell):
+                taken = _square(scene, lost[term]) / (term.fraction * term.time) if term in lost else ca.SX(0)
+                work.append(-taken)
+                continue
             beside = () if isinstance(term, Gravity) else gravity  # masses read the gravity for their weight
             load = _residual(scene, (*beside, term), xi, xi_t, u) - _residual(scene, beside, xi, xi_t, u)
             work.append(ca.dot(rates, load))
         total = ca.vertcat(ca.SX(0, 1), *work)
-        scene.__dict__["_powers"] = ca.Function("powers", [xi, xi_t, u], [total], {"cse": True})
+        scene.__dict__["_powers"] = ca.Function("powers", [xi, xi_t, acting], [total], {"cse": True})
     found: ca.Function = scene.__dict__["_powers"]
     return found
 
@@ -198,6 +211,18 @@ def _residual(scene: Scene, terms: tuple[Term, ...], xi: ca.SX, xi_t: ca.SX, u: 
 def _weights(scene: Scene) -> Array:
     """Quadrature weight of every coordinate (n_strains,)."""
     return np.repeat(scene.rule.weights, scene.rod.strain_set.n_fields)
+
+
+def _by_branch(scene: Scene, sigma: ca.SX) -> list[ca.SX]:
+    """Overstress (n,) of each branch."""
+    n = scene.n_strains
+    return [sigma[k * n : (k + 1) * n] for k in range(len(scene.branches))]
+
+
+def _square(scene: Scene, sigma: ca.SX) -> ca.SX:
+    """int K sigma^2 ds of the overstress (n,) of a branch in J."""
+    stiffness = scene.rod.profile(scene.rule.nodes).stiffness[list(scene.rod.strain_set.free)].T.ravel()
+    return ca.dot(ca.DM(_weights(scene) * stiffness) * sigma, sigma)
 
 
 def _check_base(scene: Scene) -> None:

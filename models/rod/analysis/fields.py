@@ -97,7 +97,7 @@ class Fields(Rebuilt):
     def function(self) -> ca.Function:
         """``x -> fields`` (24 S,) of a state [xi, xi_t, u]."""
         x = ca.MX.sym("x", self.scene.n_states)
-        xi, xi_t, u = self.scene.layout.split(x)
+        xi, xi_t, u = self.scene.layout.arguments(x)
         y = self.symbolic(xi, xi_t, self.scene.acceleration(xi, xi_t, u), u)
         return ca.Function("fields", [x], [y], ["x"], ["y"])
 

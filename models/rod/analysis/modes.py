@@ -32,6 +32,8 @@ POINTS = 21
 class NaturalModes:
     """Natural modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.
 
+    Maxwell branches add as many modes that creep, not far from 1/time, as they have states.
+
     The fastest modes of a grid are no modes of the rod: ``resolved`` says which are.
 
     Attributes:
@@ -107,17 +109,18 @@ def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> 
 
 
 def _eigen(scene: Scene, state: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Eigenvalues (M,) and vectors (2 n, M) of the linear dynamics, of motions that leave a held tip in its place."""
-    made, (strains, _, inputs) = scene.linearise(state).A, scene.layout.split(state)
+    """Eigenvalues (M,) and vectors (q, M) of the linear dynamics, of motions that leave a held tip in its place."""
+    made, (strains, *_, inputs) = scene.linearise(state).A, scene.layout.split(state)
     *_, balance = scene.static_balance
     if balance.holding is None:
         values, vectors = np.linalg.eig(made)
         return values.astype(np.complex128), vectors.astype(np.complex128)
     xi, u, _ = scene.static_balance
     slope = ca.Function("slope", [xi, u], [balance.holding.slope @ ca.diag(ca.DM(scene.nominal_strains))])
-    unit = np.tile(scene.nominal_strains, 2)
+    blocks = 2 + scene.layout.n_branches
+    unit = np.tile(scene.nominal_strains, blocks)
     basis = null_space(np.asarray(slope(strains, inputs)), rcond=1e-9)
-    both = np.kron(np.eye(2), basis)
+    both = np.kron(np.eye(blocks), basis)
     values, vectors = np.linalg.eig(both.T @ (made * unit / unit[:, None]) @ both)
     return values.astype(np.complex128), (unit[:, None] * (both @ vectors)).astype(np.complex128)
 
@@ -126,5 +129,5 @@ def _position_slope(scene: Scene, points: tuple[float, ...], state: Array) -> Ar
     """Derivative (3 S, n_strains) of the positions at arclengths."""
     xi, u, balance = scene.static_balance
     slope = ca.jacobian(ca.vec(balance.motion.position_at(list(points))), xi)
-    strains, _, inputs = scene.layout.split(state)
+    strains, *_, inputs = scene.layout.split(state)
     return np.asarray(ca.Function("slope", [xi, u], [slope])(strains, inputs), dtype=np.float64)

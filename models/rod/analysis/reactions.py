@@ -34,7 +34,7 @@ def reactions(scene: Scene, x: ArrayLike) -> Array:
             scene.__dict__["_reactions"] = ca.Function(
                 "reactions", [xi, xi_t, xi_tt, u], [balance.reaction], {"cse": True}
             )
-        parts = tuple(part.T for part in scene.layout.split(flat))
+        parts = tuple(part.T for part in scene.layout.arguments(flat))
         bends = scene.acceleration.map(len(flat))(*parts) if len(flat) else np.empty((scene.n_strains, 0))
         made = scene.__dict__["_reactions"]
         found = np.asarray(made.map(len(flat))(*parts[:2], bends, parts[2])).T if len(flat) else np.empty((0, 6))

@@ -11,6 +11,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod.analysis.energy import powers
+from pisplit.models.rod.dynamics.overstress import Overstress
 from pisplit.models.rod.equations.held import slopes
 from pisplit.models.rod.kinematics.gauss import GaussRule
 from pisplit.models.rod.sharing import Rebuilt
@@ -29,7 +30,8 @@ class Collocation(Rebuilt):
 
         v_i = xi_t + h sum_j a_ij z_j,   x_i = xi + h c_i xi_t + h^2 sum_j (A A)_ij z_j
 
-    and the end of the step has the weights b in place of the rows of A. Inputs move linearly over the step.
+    and the end of the step has the weights b in place of the rows of A. Inputs move linearly over the step. The
+    overstress of Maxwell branches follows from the accelerations: see ``Overstress``.
 
     Args:
         equations: the scene whose balance (paper, eq. cosserat_rod_eq) holds at the stages.
@@ -47,6 +49,7 @@ class Collocation(Rebuilt):
         else:
             self.c, self.a = radau(stages)
             self.b = self.a[-1]
+        self.overstress = Overstress(equations, self.a, self.b)
 
     # Functions of the equations --------------------------------------------------------------------------------------
 
@@ -54,17 +57,21 @@ class Collocation(Rebuilt):
     def newton(self) -> ca.Function:
         """``(x, u0, u1, h, z) -> z, last two corrections, inverse matrix``: iterations with a new matrix."""
         x, u0, u1, h, z = self.symbols
-        n, s = self.equations.n_strains, self.stages
-        residual = self.equations.native(self.equations.motion_residual)
-        at = self.at_stages(x, z, (u0, u1), h)
-        blocks = residual.jacobian().map(s)(*at, ca.DM(n, s))
-        matrix = self.iteration_matrix([ca.horzsplit(block, n) for block in blocks[:3]], h)
-        inverse = ca.solve(matrix, ca.DM.eye(s * n), "lapacklu")
+        inverse = self.inverse(x, u0, u1, h, z)
         sizes = [ca.MX(np.inf)]
         for _ in range(ITERATIONS):
             z, size = self.corrected(x, u0, u1, h, z, inverse)
             sizes.append(size)
         return ca.Function("newton", list(self.symbols), [z, *sizes[-2:], inverse])
+
+    def inverse(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX) -> ca.MX:
+        """Inverse (s n, s n) of the iteration matrix at ``x``, ``u0``, ``u1``, ``h``, ``z``: see ``symbols``."""
+        n, s = self.equations.n_strains, self.stages
+        residual = self.equations.native(self.equations.motion_residual)
+        blocks = residual.jacobian().map(s)(*self.at_stages(x, z, (u0, u1), h), ca.DM(n, s))
+        stages = [ca.horzsplit(block, n) for block in blocks[:3]]
+        acting = ca.horzsplit(blocks[3], self.equations.layout.n_acting) if self.equations.branches else []
+        return ca.solve(self.iteration_matrix([*stages, acting], h), ca.DM.eye(s * n), "lapacklu")
 
     @cached_property
     def iteration(self) -> ca.Function:
@@ -116,8 +123,10 @@ class Collocation(Rebuilt):
     def at_stages(self, x: Any, z: Any, u: tuple[Any, Any], h: Any) -> tuple[Any, Any, Any, Any]:
         """Strains, rates, accelerations (n, s) and inputs (m, s) at the stages; numpy or MX.
 
+        In a scene with Maxwell branches inputs are [sigma, u].
+
         Args:
-            x: [xi, xi_t] (2n,) at the start of the step.
+            x: [xi, xi_t] (2n,) or [xi, xi_t, sigma] at the start of the step.
             z: accelerations (n, s).
             u: inputs (m,) at the start and at the end.
             h: step in s.
@@ -126,27 +135,44 @@ class Collocation(Rebuilt):
         xi, xi_t = x[:n].reshape((n, 1)), x[n : 2 * n].reshape((n, 1))
         start, end = (value.reshape((self.equations.n_inputs, 1)) for value in u)
         shape = xi @ one + h * (xi_t @ c) + h * h * (z @ (self.a @ self.a).T)
-        return shape, xi_t @ one + h * (z @ self.a.T), z, start @ (1.0 - c) + end @ c
+        inputs = start @ (1.0 - c) + end @ c
+        if self.equations.branches:
+            sigma = self.overstress.along(x, z, h)[:, : self.stages]
+            inputs = np.vstack([sigma, inputs]) if isinstance(z, np.ndarray) else ca.vertcat(sigma, inputs)
+        return shape, xi_t @ one + h * (z @ self.a.T), z, inputs
 
-    def end(self, x: Array, z: Array, h: float) -> Array:
-        """[xi, xi_t] (2n,) after a step ``h`` in s from ``x`` (2n,) with accelerations ``z`` (n, s)."""
+    def end(self, x: Any, z: Any, h: Any) -> Any:
+        """[xi, xi_t] (2n,), with Maxwell branches [xi, xi_t, sigma], after a step; numpy or MX.
+
+        Args:
+            x: the same at its start.
+            z: accelerations (n, s).
+            h: step in s.
+        """
         n = self.equations.n_strains
         xi, xi_t = x[:n], x[n : 2 * n]
-        return np.concatenate([xi + h * xi_t + h * h * z @ (self.b @ self.a), xi_t + h * z @ self.b])
+        parts = [xi + h * xi_t + h * h * (z @ (self.b @ self.a)), xi_t + h * (z @ self.b)]
+        if self.equations.branches:
+            parts.append(self.overstress.along(x, z, h)[:, -1])
+        return np.concatenate(parts) if isinstance(z, np.ndarray) else ca.vertcat(*parts)
 
     def iteration_matrix(self, blocks: Sequence[Sequence[Any]], h: Any) -> Any:
         """Derivative (s n, s n) of the stage residuals with respect to the stage accelerations; numpy or MX.
 
         Args:
-            blocks: derivatives with respect to strains, rates and accelerations, each a list over the stages of (n, n).
+            blocks: derivatives with respect to strains, rates and accelerations, each a list over the stages of (n, n),
+                and with Maxwell branches to [sigma, u], (n, n_acting) each.
             h: step in s.
         """
         a, stages = self.a, range(self.stages)
         twice = a @ a
-        of_shape, of_rate, mass = blocks
+        of_shape, of_rate, mass, acting = blocks
         rows = [[h * h * twice[i, j] * of_shape[i] + h * a[i, j] * of_rate[i] for j in stages] for i in stages]
         for i in stages:
             rows[i][i] = rows[i][i] + mass[i]
+        if self.equations.branches:
+            through = self.overstress.slopes(acting, h)
+            rows = [[rows[i][j] + through[i][j] for j in stages] for i in stages]
         return np.block(rows) if isinstance(mass[0], np.ndarray) else ca.blockcat(rows)
 
     @cached_property

@@ -114,16 +114,14 @@ class FastStepper(Stepper):
         x, u0, u1, h, _ = scheme.symbols
         residual = scene.native(scene.motion_residual)
         z = ca.MX(n, s)
-        blocks = residual.jacobian().map(s)(*scheme.at_stages(x, z, (u0, u1), h), ca.DM(n, s))
-        matrix = scheme.iteration_matrix([ca.horzsplit(block, n) for block in blocks[:3]], h)
-        inverse = ca.solve(matrix, ca.DM.eye(s * n), "lapacklu")
+        inverse = scheme.inverse(x, u0, u1, h, z)
         size = ca.MX(np.inf)
         for _ in range(CORRECTIONS):
             z, size = scheme.corrected(x, u0, u1, h, z, inverse)
-        end = ca.vertcat(x[:n] + h * x[n:] + h * h * (z @ (scheme.b @ scheme.a)), x[n:] + h * (z @ scheme.b))
+        end = scheme.end(x, z, h)
         # The residual at the start as a force that acts over the step: how far it would bend the rod.
         first = z @ ca.DM(np.linalg.solve(np.vander(scheme.c).T, np.eye(s)[-1]))
-        missed = residual(x[:n], x[n:], first, u0)
+        missed = residual(x[:n], x[n : 2 * n], first, ca.vertcat(x[2 * n :], u0))
         bent = ca.reshape(inverse @ ca.vec(ca.repmat(missed, 1, s)), n, s) @ (scheme.b @ scheme.a)
         defect = h * h * ca.norm_2(bent / ca.DM(scene.nominal_strains)) / np.sqrt(scene.nodes)
         return ca.Function("one", [x, u0, u1, h], [end, size, defect])
@@ -167,7 +165,7 @@ class FastStepper(Stepper):
     # Trajectories ----------------------------------------------------------------------------------------------------
 
     def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] after each command: see ``Propagation.integrate``; the work of terms takes small steps.
+        """States (T, n_moving) after each command: see ``Propagation.integrate``; the work of terms takes small steps.
 
         Args:
             start: state [xi, xi_t, u] (n_states,).

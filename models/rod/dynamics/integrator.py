@@ -92,7 +92,7 @@ class Simulator(Propagation):
         return self.scheme, self.rtol, self.inputs
 
     def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] after each command: see ``Propagation.integrate``.
+        """States (T, n_moving) after each command: see ``Propagation.integrate``.
 
         One interval takes the first start (see ``_build``) that IDAS does; many take the first of all or fail, and
         ``run`` goes on interval by interval. Too much work is the fault of the motion: no other start is tried.
@@ -103,7 +103,7 @@ class Simulator(Propagation):
             energy: whether to add the work of every term since the start.
         """
         layout, steps = self.scene.layout, len(commands)
-        strains, moving, before = layout.split(start)
+        strains, moving, overstress, before = layout.split(start)
         if self.inputs == "ramp":
             origin = np.vstack([before, commands[:-1]])
             slope = (commands - origin) / self.dt
@@ -112,11 +112,15 @@ class Simulator(Propagation):
         controls = np.hstack([origin - slope * self.dt * np.arange(steps)[:, None], slope])
         t = self.dt * np.arange(1, steps + 1)
         level = self._level(start, commands) if steps > 1 else 0
-        accelerations = np.asarray(self.equations.acceleration(strains, moving, origin[0])).ravel()
+        accelerations = np.asarray(
+            self.equations.acceleration(strains, moving, np.concatenate([overstress, origin[0]]))
+        ).ravel()
+        fractions, relaxing = self.equations.relaxation
         failure: RuntimeError | None = None
         for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
             integrator = self._integrator(steps, correct, energy, level)
-            rates = np.concatenate([of_strains * moving, of_rates * accelerations])
+            sigma_t = of_strains * (fractions * np.tile(moving, layout.n_branches) - relaxing * overstress)
+            rates = np.concatenate([of_strains * moving, of_rates * accelerations, sigma_t])
             fading = self._fading_time(rates)
             held = np.concatenate([start[layout.moving], rates, [fading]])
             given = {"x0": np.zeros(layout.n_moving), "z0": accelerations, "p": held}
@@ -151,13 +155,15 @@ class Simulator(Propagation):
 
     @cached_property
     def _nominal(self) -> Array:
-        """Typical strains, rates and accelerations (3 n_strains,)."""
+        """Typical strains, rates, overstress and accelerations (3 n_strains + b n_strains,)."""
         scene = self.equations
         rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
-        return np.concatenate([scene.nominal_strains * rates**k for k in range(3)])
+        hidden = np.tile(scene.nominal_strains, len(scene.branches))
+        strains, moving, bends = (scene.nominal_strains * rates**k for k in range(3))
+        return np.concatenate([strains, moving, hidden, bends])
 
     def _fading_time(self, rates: Array) -> float:
-        """T [s] of the motion that ``_build`` carries from the first derivative ``rates`` (2 n_strains,).
+        """T [s] of the motion that ``_build`` carries from the first derivative ``rates`` (n_moving,).
 
         It is dt, but where an input jumps: accelerations of 1e10 that last for a microsecond would be carried to rates
         that the rod never has, and IDAS would measure its errors by them. No state is carried farther than is typical.
@@ -176,14 +182,14 @@ class Simulator(Propagation):
         """Estimated size of the motion, in parts of a typical one.
 
         The way from the shape at the start to the equilibrium of every command, by the stiffness at the start, and the
-        strain rates at the start.
+        strain rates and the overstress there.
         """
         n, unit, residual = self.scene.n_strains, self.equations.nominal_strains, self.equations.nominal_residual
-        xi, moving, _ = self.scene.layout.split(start)
-        rest = np.zeros(n)
+        xi, moving, overstress, _ = self.scene.layout.split(start)
+        rest, relaxed = np.zeros(n), np.zeros(len(overstress))
 
         def balance(strains: Array, u: Array) -> Array:
-            return np.asarray(self._balance(strains, rest, rest, u)).ravel() / residual
+            return np.asarray(self._balance(strains, rest, rest, np.concatenate([relaxed, u]))).ravel() / residual
 
         rows = commands[np.unique(np.linspace(0, len(commands) - 1, JUDGED).astype(int))]
         forces = np.array([balance(xi, u) for u in rows])
@@ -193,7 +199,8 @@ class Simulator(Propagation):
         except np.linalg.LinAlgError:
             return 1.0
         rates = np.abs(moving) / self._nominal[self.scene.layout.rates]
-        size = max(float(np.abs(ways).max()), float(rates.max()))
+        stress = np.abs(overstress) / np.tile(unit, self.scene.layout.n_branches)
+        size = max(float(np.abs(ways).max()), float(rates.max()), float(stress.max(initial=0.0)))
         return size / TYPICAL if np.isfinite(size) else 1.0
 
     # The integrator --------------------------------------------------------------------------------------------------
@@ -228,18 +235,19 @@ class Simulator(Propagation):
         control, t = ca.MX.sym("control", 2 * m), ca.MX.sym("t")
         fade = ca.exp(-t / fading)
         x = start[:q] + fading * (1.0 - fade) * start[q:] + deviation
-        u = control[:m] + control[m:] * t
+        strains, moving, overstress = x[:n], x[n : 2 * n], x[2 * n :]
+        acting = ca.vertcat(overstress, control[:m] + control[m:] * t)
         dae = {
             "x": deviation,
             "z": z,
             "p": ca.vertcat(start, fading),
             "u": control,
             "t": t,
-            "ode": ca.vertcat(x[n:], z) - fade * start[q:],
-            "alg": self._balance(x[:n], x[n:], z, u),
+            "ode": ca.vertcat(moving, z, scene.overstress_rates(moving, overstress)) - fade * start[q:],
+            "alg": self._balance(strains, moving, z, acting),
         }
         if energy:
-            dae["quad"] = powers(scene)(x[:n], x[n:], u)
+            dae["quad"] = powers(scene)(strains, moving, acting)
         rate, alone = scene.rod.bending_rate, MAX_STEPS if scene.damped else MAX_STEPS_UNDAMPED
         most = alone if steps == 1 else MAX_STEPS_TOGETHER
         options = {

@@ -81,7 +81,7 @@ class Projection(Rebuilt):
         """
         found, layout = x.copy(), self.scene.layout
         for k in range(CORRECTIONS):
-            g, slope, _, soft = (np.asarray(v) for v in self._conditions(*layout.split(found)))
+            g, slope, _, soft = self._at(found)
             worst = float(np.abs(g).max())
             if k == 0 and not worst <= FAR:
                 raise ValueError(
@@ -91,9 +91,13 @@ class Projection(Rebuilt):
             found[layout.strains] -= (soft @ self._weights(slope @ soft, g, what)).ravel()
             if worst <= LEFT:
                 break
-        _, slope, g_t, soft = (np.asarray(v) for v in self._conditions(*layout.split(found)))
+        _, slope, g_t, soft = self._at(found)
         found[layout.rates] -= (soft @ self._weights(slope @ soft, g_t, what)).ravel()
         return found
+
+    def _at(self, x: Array) -> list[Array]:
+        strains, rates, _, u = self.scene.layout.split(x)
+        return [np.asarray(v) for v in self._conditions(strains, rates, u)]
 
     def _weights(self, response: Array, missed: Array, what: str) -> Array:
         values = np.linalg.svd(response, compute_uv=False)

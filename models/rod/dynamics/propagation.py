@@ -94,7 +94,9 @@ class Propagation(Rebuilt, ABC):
 
     @abstractmethod
     def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] (T, 2 n_strains) after each command, with the work (n_terms) of the terms if asked for.
+        """States (T, n_moving) after each command, with the work (n_terms) of the terms if asked for.
+
+        That is [xi, xi_t], of a scene with Maxwell branches [xi, xi_t, sigma].
 
         Args:
             start: state [xi, xi_t, u] (n_states,).
@@ -322,7 +324,7 @@ class Propagation(Rebuilt, ABC):
         return start if self.projection is None else self.projection.state(start)
 
     def _put_back(self, rows: Array, commands: Array) -> tuple[Array, str]:
-        """``rows`` (T, 2 n_strains or more) after commands with the tip where it is held, if it is.
+        """``rows`` (T, n_moving or more) after commands with the tip where it is held, if it is.
 
         They end where it cannot be put there; why is the second value.
         """

@@ -31,6 +31,7 @@ class SpaceError(Rebuilt):
     Strains, rates and accelerations are taken to two more nodes an element, where they leave a defect r(t). The error
     follows M d'' + D d' + S d = -r with the mass, damping and stiffness of the finer grid at a few states of the motion
     (defect correction); r is linear from one output to the next. So phases that drift are seen, not the bend alone.
+    The overstress of Maxwell branches deviates with d.
 
     Args:
         resolution: the grid of the equations that move, and the finer one.
@@ -46,15 +47,17 @@ class SpaceError(Rebuilt):
         Infinite where it overflows.
         """
         fine, steps = self.finer.n_strains, len(found.t)
-        strains, rates, inputs = self.scene.layout.split(found.x)
-        states = [self.resolution.interpolated(part) for part in (strains, rates)]
-        given = strains.T, rates.T, inputs.T
+        strains, rates, overstress, inputs = self.scene.layout.split(found.x)
+        states = [self.resolution.interpolated(part) for part in (strains, rates, overstress)]
+        given = tuple(part.T for part in self.scene.layout.arguments(found.x))
         bends = np.asarray(self.scene.acceleration.map(steps)(*given)).T
-        motion = np.hstack([*states, self.resolution.interpolated(bends)])
-        defects = np.asarray(self._defect.map(steps)(motion.T, given[2])).T
+        motion = np.hstack([*states[:2], self.resolution.interpolated(bends), states[2]])
+        defects = np.asarray(self._defect.map(steps)(motion.T, inputs.T)).T
         defects[0] = defects[min(1, steps - 1)]  # what is let go is fast at first, and soon slow
         deviation = np.zeros((steps, fine))
-        state = np.concatenate([self.resolution.on_finer(found.x[0])[:fine] - states[0][0], np.zeros(fine)])
+        state = np.concatenate(
+            [self.resolution.on_finer(found.x[0])[:fine] - states[0][0], np.zeros(self._free - fine)]
+        )
         deviation[0] = state[:fine]
         anchors = np.unique(np.linspace(min(1, steps - 1), steps - 1, ANCHORS).astype(int))
         nearest = np.abs(np.arange(steps)[:, None] - anchors).argmin(axis=1)
@@ -64,31 +67,41 @@ class SpaceError(Rebuilt):
             state = flow @ np.concatenate([state, defects[k - 1], defects[k] - defects[k - 1]])
             deviation[k] = state[:fine]
         here, there = (
-            np.asarray(shapes.map(steps)(shape.T, given[2])).T.reshape(steps, POINTS, 3)
+            np.asarray(shapes.map(steps)(shape.T, inputs.T)).T.reshape(steps, POINTS, 3)
             for shapes, shape in zip(self.resolution.shapes, (strains, states[0] + deviation), strict=True)
         )
         distance = np.nan_to_num(np.linalg.norm(here - there, axis=2).max(axis=1), nan=np.inf)
         return MotionError(distance, float(np.linalg.norm(here - here[0], axis=2).max()))
 
     def _flow(self, motion: Array, u: Array, dt: float) -> Array:
-        """(2 n, 4 n) from the deviation, the defect and its change over ``dt`` to the deviation ``dt`` later."""
-        n = self.finer.n_strains
-        unit = np.tile(self.finer.nominal_strains, 3) * np.repeat(self._rate ** np.arange(3), n)
-        probes = STEP * np.vstack([np.eye(3 * n), -np.eye(3 * n)]) * unit
+        """(q, q + 2 n) from the deviation, the defect and its change over ``dt`` to the deviation ``dt`` later."""
+        n, q, (fractions, relaxing) = self.finer.n_strains, self._free, self.finer.relaxation
+        branches = self.finer.layout.n_branches
+        unit = np.tile(self.finer.nominal_strains, 3 + branches)
+        unit *= np.repeat(self._rate ** np.array([0, 1, 2, *[0] * branches]), n)
+        probes = STEP * np.vstack([np.eye(len(unit)), -np.eye(len(unit))]) * unit
         after, before = np.split(np.asarray(self._defect.map(len(probes))((motion + probes).T, u)).T, 2)
         slopes = ((after - before) / (2.0 * STEP * unit[:, None])).T
         try:
-            of_shape, of_rate, of_defect = np.split(
-                -np.linalg.solve(slopes[:, 2 * n :], np.hstack([slopes[:, : 2 * n], np.eye(n)])), 3, axis=1
+            of_all = -np.linalg.solve(
+                slopes[:, 2 * n : 3 * n], np.hstack([slopes[:, : 2 * n], slopes[:, 3 * n :], np.eye(n)])
             )
         except np.linalg.LinAlgError:
-            return np.full((2 * n, 4 * n), np.inf)
-        generator = np.zeros((4 * n, 4 * n))
+            return np.full((q, q + 2 * n), np.inf)
+        generator = np.zeros((q + 2 * n, q + 2 * n))
         generator[:n, n : 2 * n] = np.eye(n)
-        generator[n : 2 * n, : 3 * n] = np.hstack([of_shape, of_rate + FADING * dt * of_shape, of_defect])
-        generator[2 * n : 3 * n, 3 * n :] = np.eye(n) / dt
-        flow: Array = expm(generator * dt)[: 2 * n]
+        generator[n : 2 * n, : q + n] = of_all
+        generator[n : 2 * n, n : 2 * n] += FADING * dt * of_all[:, :n]
+        generator[2 * n : q, n : 2 * n] = fractions[:, None] * np.tile(np.eye(n), (branches, 1))
+        generator[2 * n : q, 2 * n : q] = -np.diag(relaxing)
+        generator[q : q + n, q + n :] = np.eye(n) / dt
+        flow: Array = expm(generator * dt)[:q]
         return flow
+
+    @property
+    def _free(self) -> int:
+        """Number q of entries of the deviation: of strains, their rates, and overstress."""
+        return self.finer.layout.n_moving
 
     @property
     def _rate(self) -> float:
@@ -97,9 +110,14 @@ class SpaceError(Rebuilt):
 
     @cached_property
     def _defect(self) -> ca.Function:
-        """``(motion, u) -> residual`` of the finer grid in scaled form; ``motion``: strains, rates, accelerations."""
+        """``(motion, u) -> residual`` of the finer grid in scaled form.
+
+        ``motion``: strains, rates, accelerations, overstress.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NoEffect)  # said by the scene itself
-            xi, xi_t, xi_tt, u, balance = self.finer.dynamic_balance
+            xi, xi_t, xi_tt, acting, balance = self.finer.dynamic_balance
+        hidden = self.finer.layout.n_overstress
         residual = balance.residual / ca.DM(self.finer.nominal_residual)
-        return ca.Function("defect", [ca.vertcat(xi, xi_t, xi_tt), u], [residual], {"cse": True})
+        motion = ca.vertcat(xi, xi_t, xi_tt, acting[:hidden])
+        return ca.Function("defect", [motion, acting[hidden:]], [residual], {"cse": True})

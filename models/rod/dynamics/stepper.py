@@ -81,7 +81,7 @@ class Stepper(Propagation):
     # Trajectories ----------------------------------------------------------------------------------------------------
 
     def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
-        """States [xi, xi_t] after each command: see ``Propagation.integrate``.
+        """States (T, n_moving) after each command: see ``Propagation.integrate``.
 
         Args:
             start: state [xi, xi_t, u] (n_states,).
@@ -148,9 +148,13 @@ class Stepper(Propagation):
         scheme, h = self.collocation, piece.h
         n, m, s = self.scene.n_strains, self.scene.n_inputs, scheme.stages
         derivatives = scheme.derivatives(*scheme.at_stages(piece.x, piece.z, piece.u, h))
-        of_shape, of_rate, mass, of_input = (np.split(np.asarray(block), s, axis=1) for block in derivatives)
-        matrix = scheme.iteration_matrix([of_shape, of_rate, mass], h)
-        d_xi, d_xi_t = slope[:n], slope[n:]
+        of_shape, of_rate, mass, of_acting = (np.split(np.asarray(block), s, axis=1) for block in derivatives)
+        matrix = scheme.iteration_matrix([of_shape, of_rate, mass, of_acting], h)
+        d_xi, d_xi_t, layout = slope[:n], slope[n : 2 * n], self.scene.layout
+        of_sigma, of_input = zip(*(np.split(block, [layout.n_overstress], axis=1) for block in of_acting), strict=True)
+        # of the overstress at the stages and the end under the accelerations that stay: (s+1, b n, ...)
+        free = [scheme.overstress.along(column, np.zeros((n, s)), h).T for column in slope.T]
+        d_sigma = np.moveaxis(np.array(free), 0, -1)
         d_inputs = np.zeros((2, m, slope.shape[1]))  # of the inputs at both ends of the piece
         for k, fraction in enumerate(ends):
             d_inputs[k, :, self.scene.layout.inputs] = (1.0 - fraction) * np.eye(m)
@@ -158,7 +162,10 @@ class Stepper(Propagation):
         rows = []
         for i, c in enumerate(scheme.c):
             d_u = d_inputs[0] + c * (d_inputs[1] - d_inputs[0])
-            rows.append(of_shape[i] @ (d_xi + h * c * d_xi_t) + of_rate[i] @ d_xi_t + of_input[i] @ d_u)
+            row = of_shape[i] @ (d_xi + h * c * d_xi_t) + of_rate[i] @ d_xi_t + of_input[i] @ d_u
+            rows.append(row + of_sigma[i] @ d_sigma[i])
         d_z = -np.linalg.solve(matrix, np.vstack(rows)).reshape(s, n, -1)
         shape = d_xi + h * d_xi_t + h * h * np.tensordot(scheme.b @ scheme.a, d_z, 1)
-        return np.vstack([shape, d_xi_t + h * np.tensordot(scheme.b, d_z, 1)])
+        bent = [np.tensordot(w[2:, -1], d_z, 1) for w in scheme.overstress.weights(h)]
+        hidden = [d_sigma[-1] + np.vstack(bent)] if bent else []
+        return np.vstack([shape, d_xi_t + h * np.tensordot(scheme.b, d_z, 1), *hidden])

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 class Linearisation:
     """``d/dt [xi, xi_t] = A ([xi, xi_t] - x0) + B (u - u0) + stress_ports s`` about a state ``(x0, u0)``.
 
+    With Maxwell branches [xi, xi_t, sigma] moves, which has q entries in place of 2n.
+
     Attributes:
         A: (2n, 2n); B: (2n, m).
         stress_ports: (2n, n) response of the rates to an active stress added at the nodes, node by node, in N m or N.
@@ -89,7 +91,7 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
     symbols = [xi, xi_t, xi_tt, u]
     jacobian = ca.Function("jacobian", symbols, slopes(balance, symbols), {"cse": True})
-    parts = scene.layout.split(x)
+    parts = scene.layout.arguments(x)
     with lock_of(scene):
         acceleration = scene.acceleration(*parts)
     d_xi, d_rate, mass, d_u = (np.asarray(v) for v in jacobian(parts[0], parts[1], acceleration, parts[2]))
@@ -97,9 +99,14 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     scale = 1.0 / scene.nominal_residual[:, None]
     rows = finite_answer(scale * np.hstack([mass, d_xi, d_rate, d_u, -np.eye(n)]), "derivatives of the balance")
     lower = -np.linalg.solve(rows[:, :n], rows[:, n:])
-    top = np.hstack([np.zeros((n, n)), np.eye(n)])
+    layout, (fractions, relaxing) = scene.layout, scene.relaxation
+    top = np.hstack([np.zeros((n, n)), np.eye(n), np.zeros((n, layout.n_overstress))])
+    strained = fractions[:, None] * np.tile(np.eye(n), (layout.n_branches, 1))
+    bottom = np.hstack([np.zeros((layout.n_overstress, n)), strained, -np.diag(relaxing)])
+    still = np.zeros((layout.n_overstress, layout.n_inputs + n))
+    given = np.vstack([np.zeros((n, layout.n_inputs + n)), lower[:, layout.n_moving :], still])
     return Linearisation(
-        A=np.vstack([top, lower[:, : 2 * n]]),
-        B=np.vstack([np.zeros((n, scene.n_inputs)), lower[:, 2 * n : 2 * n + scene.n_inputs]]),
-        stress_ports=np.vstack([np.zeros((n, n)), lower[:, 2 * n + scene.n_inputs :]]),
+        A=np.vstack([top, lower[:, layout.moving], bottom]),
+        B=given[:, : layout.n_inputs],
+        stress_ports=given[:, layout.n_inputs :],
     )

@@ -21,9 +21,14 @@ def prestressed_acceleration(scene: Scene) -> ca.Function:
         scene: the rod and what acts on it, without the terms that the stress stands for. All three arguments of the
             function are (n_strains,): strains, their rates per s, and the strains at rest.
 
-    Raises ValueError for a scene with inputs.
+    Raises ValueError for a scene with inputs or Maxwell branches.
     """
     n = scene.n_strains
+    if scene.branches:
+        raise ValueError(
+            "a prestressed scene has no Maxwell branches, whose stress no shape tells; leave them out with "
+            "scene.without(rod.Maxwell)"
+        )
     if scene.n_inputs:
         raise ValueError(
             f"a prestressed scene has no inputs; this one has {', '.join(scene.input_names)}: leave their terms out"

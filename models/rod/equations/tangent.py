@@ -80,7 +80,7 @@ class Tangent:
 
     def sensitivity(self, state: Array) -> PoseSensitivity:
         """Derivatives at an equilibrium ``state`` [xi, 0, u] (n_states,), by the implicit function theorem."""
-        m, (strains, _, u) = self.scene.n_inputs, self.scene.layout.split(state)
+        m, (strains, *_, u) = self.scene.n_inputs, self.scene.layout.split(state)
         inputs = np.concatenate([u, np.zeros(6)])
         values = [finite_answer(np.asarray(v), "derivatives of the balance") for v in self._function(strains, inputs)]
         p, frame, r_xi, r_u, p_xi, p_u, frame_xi, frame_u = values
@@ -97,7 +97,7 @@ class Tangent:
 
 def stability(scene: Scene, state: Array) -> Stability:
     """Tangent stiffness of ``scene`` at an equilibrium ``state`` [xi, 0, u], in parts of the elastic one."""
-    strains, _, inputs = scene.layout.split(state)
+    strains, *_, inputs = scene.layout.split(state)
     if "_stiffness" not in scene.__dict__:
         xi, u, balance = scene.static_balance
         weights = ca.DM(np.repeat(scene.rule.weights, scene.rod.strain_set.n_fields))

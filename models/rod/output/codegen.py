@@ -84,33 +84,42 @@ def board_step(scene: Scene, dt: float, substeps: int) -> ca.Function:
     step always costs the same; ``residual`` is the largest one left in any stage, in parts of EI/L.
     """
     n, m, h = scene.n_strains, scene.n_inputs, dt / substeps
-    balance = scene.motion_residual
-    jacobian = balance.jacobian()
-    xi, rate, guess, u = (ca.MX.sym(name, size) for name, size in (("xi", n), ("rate", n), ("guess", n), ("u", m)))
+    balance, layout = scene.motion_residual, scene.layout
+    jacobian, e = balance.jacobian(), layout.n_overstress
+    sizes = {"xi": n, "rate": n, "hidden": e, "guess": n, "u": m}
+    xi, rate, hidden, guess, u = (ca.MX.sym(name, size) for name, size in sizes.items())
+    fractions, relaxing = (ca.DM(values) for values in scene.relaxation)
 
-    # One stage: strains xi + gamma h v and rates v = rate + gamma h a that balance with accelerations a.
+    # One stage: strains xi + gamma h v, rates v = rate + gamma h a and overstress that balance with accelerations a.
+    def overstress(v: ca.MX) -> ca.MX:
+        return (hidden + GAMMA * h * fractions * ca.repmat(v, layout.n_branches, 1)) / (1.0 + GAMMA * h * relaxing)
+
     a = guess
     for _ in range(NEWTON_ITERATIONS):
         v = rate + GAMMA * h * a
-        point = (xi + GAMMA * h * v, v, a, u)
-        d_xi, d_rate, d_a, _ = jacobian(*point, ca.DM(n, 1))
+        point = (xi + GAMMA * h * v, v, a, ca.vertcat(overstress(v), u))
+        d_xi, d_rate, d_a, d_acting = jacobian(*point, ca.DM(n, 1))
+        for k in range(layout.n_branches):
+            of_rates = GAMMA * h * scene.branches[k].fraction / (1.0 + GAMMA * h / scene.branches[k].time)
+            d_rate = d_rate + of_rates * d_acting[:, k * n : (k + 1) * n]
         matrix = ca.densify((GAMMA * h) ** 2 * d_xi + GAMMA * h * d_rate + d_a)
         a = a - ca.solve(matrix, balance(*point), "qr", {"eps": 1e-30})
     v = rate + GAMMA * h * a
-    shape = xi + GAMMA * h * v
-    left = ca.norm_inf(balance(shape, v, a, u))
-    stage = ca.Function("stage", [xi, rate, guess, u], [shape, v, a, left], {"never_inline": True})
+    shape, sigma = xi + GAMMA * h * v, overstress(v)
+    left = ca.norm_inf(balance(shape, v, a, ca.vertcat(sigma, u)))
+    stage = ca.Function("stage", [xi, rate, hidden, guess, u], [shape, v, sigma, a, left], {"never_inline": True})
 
     x, command = ca.MX.sym("x", scene.n_states), ca.MX.sym("u", m)
-    strains, rates, start = scene.layout.split(x)
+    strains, rates, sigma, start = layout.split(x)
     a, worst = ca.MX.zeros(n), ca.MX(0.0)
     for k in range(substeps):
         at = [start + (command - start) * (k + c) / substeps for c in (GAMMA, 1.0)]
-        _, v_1, a_1, left_1 = stage(strains, rates, a, at[0])
+        _, v_1, s_1, a_1, left_1 = stage(strains, rates, sigma, a, at[0])
         strains = strains + (1.0 - GAMMA) * h * v_1
-        strains, rates, a, left_2 = stage(strains, rates + (1.0 - GAMMA) * h * a_1, a_1, at[1])
+        sigma = sigma + (1.0 - GAMMA) * h * scene.overstress_rates(v_1, s_1)
+        strains, rates, sigma, a, left_2 = stage(strains, rates + (1.0 - GAMMA) * h * a_1, sigma, a_1, at[1])
         worst = ca.fmax(worst, ca.fmax(left_1, left_2))
-    x_next = ca.vertcat(strains, rates, command)
+    x_next = ca.vertcat(strains, rates, sigma, command)
     return ca.Function("step", [x, command], [x_next, worst], ["x", "u"], ["x_next", "residual"])
 
 
@@ -150,12 +159,14 @@ def codegen(scene: Scene, path: str | Path, dt: float, substeps: int = 8, statio
 
 def _entries(scene: Scene, prefix: str, dt: float, substeps: int, stations: int) -> list[_Entry]:
     n, m = scene.n_strains, scene.n_inputs
-    state = _Argument("x", scene.n_states, "state [xi, xi_t, u]")
+    hidden = scene.layout.n_overstress
+    state = _Argument("x", scene.n_states, "state [xi, xi_t, sigma, u]" if hidden else "state [xi, xi_t, u]")
     command = _Argument("u", m, f"inputs: {', '.join(scene.input_names) or 'none'}")
     motion = (
         _Argument("xi", n, "strains: 1/m for bending and torsion, 1 for shear and stretch; node by node"),
         _Argument("xi_t", n, "their rates per s"),
         _Argument("xi_tt", n, "their accelerations per s^2"),
+        *([_Argument("sigma", hidden, "overstress of the Maxwell branches, each as xi")] if hidden else []),
         command,
     )
     residual = _Argument("residual", n, "balance of every strain in parts of EI/L (forces: EI/L^2)")
@@ -164,6 +175,7 @@ def _entries(scene: Scene, prefix: str, dt: float, substeps: int, stations: int)
         for a in motion[:3]
     )
     symbols = [ca.MX.sym(a.name, a.size) for a in motion]
+    point = [*symbols[:3], ca.vertcat(*symbols[3:])]
     balance, fields = scene.motion_residual, scene.field_map(stations)
     layout = ", ".join(f"{name} ({size}, {UNITS[name]})" for name, size in LAYOUT)
 
@@ -185,14 +197,14 @@ def _entries(scene: Scene, prefix: str, dt: float, substeps: int, stations: int)
         _Entry(
             "residual",
             "Balance of forces and moments.",
-            made("residual", symbols, [balance(*symbols)]),
+            made("residual", symbols, [balance(*point)]),
             motion,
             (residual,),
         ),
         _Entry(
             "jacobian",
             "Derivatives of the residual; inertia forces count as dead loads in d_xi and d_xi_t.",
-            made("jacobian", symbols, list(balance.jacobian()(*symbols, ca.DM(n, 1)))[:3]),
+            made("jacobian", symbols, list(balance.jacobian()(*point, ca.DM(n, 1)))[:3]),
             motion,
             blocks,
         ),

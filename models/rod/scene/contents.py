@@ -16,6 +16,7 @@ from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.chambers import Chambers
 from pisplit.models.rod.terms.held import HeldTip, held_tip
 from pisplit.models.rod.terms.loads import Input, NoEffect, Term
+from pisplit.models.rod.terms.maxwell import Maxwell
 from pisplit.models.rod.terms.pull import TendonTerm
 from pisplit.models.rod.terms.units import unit_of
 
@@ -57,6 +58,10 @@ class Contents:
             raise ValueError(f"two {kinds} terms share the input {twice[0]!r}; give one of them another name=")
         if sum(isinstance(t, Base) for t in self.terms) > 1:
             raise ValueError("a scene has one Base; use scene.replace(Base(...))")
+        for time, number in Counter(t.time for t in self.branches).items():
+            if number > 1:
+                whole = sum(t.fraction for t in self.branches if t.time == time)
+                raise ValueError(f"two Maxwell branches of {time:g} s relax as one; give Maxwell({whole:g}, {time:g})")
         self._check_held()
         for term in self.terms:
             check = getattr(term, "check", None)
@@ -99,7 +104,10 @@ class Contents:
         ]
         lines += [f"term     {t.describe(r)}" for t in self.terms]
         lines += [f"input    {i.name} ({i.size})" for i in self.inputs]
-        lines.append(f"state    {self.n_states} = 2 x {self.n_strains} strains and rates + {self.n_inputs} inputs")
+        hidden = f" + {self.layout.n_overstress} overstresses" if self.branches else ""
+        lines.append(
+            f"state    {self.n_states} = 2 x {self.n_strains} strains and rates{hidden} + {self.n_inputs} inputs"
+        )
         lines += [f"note     {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -121,11 +129,16 @@ class Contents:
     @cached_property
     def layout(self) -> Layout:
         """Where what stands in a state."""
-        return Layout(self.n_strains, self.n_inputs)
+        return Layout(self.n_strains, self.n_inputs, len(self.branches))
+
+    @property
+    def branches(self) -> tuple[Maxwell, ...]:
+        """Maxwell branches of the material with a stiffness, in the order of their overstress in a state."""
+        return tuple(t for t in self.terms if isinstance(t, Maxwell) and t.fraction > 0.0)
 
     @property
     def n_states(self) -> int:
-        """Length of the state [xi, xi_t, u]."""
+        """Length of the state [xi, xi_t, u], of a scene with Maxwell branches [xi, xi_t, sigma, u]."""
         return self.layout.size
 
     @property

@@ -68,14 +68,17 @@ class Equations(Contents):
             strains: free strains xi (n_strains,), node by node.
             rates: xi_t (n_strains,) per s; exact zeros (an empty sparsity) for a rod at rest.
             accelerations: xi_tt (n_strains,) per s^2; None leaves inertia out.
-            u: stacked inputs (n_inputs,).
+            u: stacked inputs (n_inputs,), in a scene with Maxwell branches behind their overstress (n_acting,); with
+                the inputs alone the branches are relaxed.
             dead_force: internal force (3, K) in N at the nodes that does not depend on the motion; None: none.
         """
         parts: dict[str, ca.SX] = {}
+        branches = self.branches if u.numel() == self.layout.n_acting else ()
+        sizes = [(branch.state, self.n_strains) for branch in branches] + [(i.name, i.size) for i in self.inputs]
         start = 0
-        for item in self.inputs:
-            parts[item.name] = u[start : start + item.size]
-            start += item.size
+        for name, size in sizes:
+            parts[name] = u[start : start + size]
+            start += size
         carried = any(isinstance(t, Base) and t.moves for t in self.terms)
         at_rest = accelerations is None and not rates.nnz() and dead_force is None
         moving = accelerations is not None or (at_rest and carried)  # at rest on a moving base: inertia of that motion
@@ -93,9 +96,12 @@ class Equations(Contents):
 
     @cached_property
     def dynamic_balance(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, Balance]:
-        """Symbols (xi, xi_t, xi_tt, u) and the balance in motion. Warns of inputs that nothing in it reads."""
+        """Symbols (xi, xi_t, xi_tt, u) and the balance in motion. Warns of inputs that nothing in it reads.
+
+        Where the scene has Maxwell branches u is [sigma, u] (n_acting,), here and in all functions of a motion.
+        """
         xi, xi_t, xi_tt = (ca.SX.sym(name, self.n_strains) for name in ("xi", "xi_t", "xi_tt"))
-        u = ca.SX.sym("u", self.n_inputs)
+        u = ca.SX.sym("u", self.layout.n_acting)
         balance = self.balance(xi, xi_t, xi_tt, u)
         self._say_unread(u, balance)
         return xi, xi_t, xi_tt, u, balance
@@ -104,7 +110,7 @@ class Equations(Contents):
         moved = {
             i.name for t in self.terms if isinstance(t, Base | HeldTip) for i in t.inputs
         }  # a pose is in the fields alone
-        start = 0
+        start = self.layout.n_overstress
         for item in self.inputs:
             part = u[start : start + item.size]
             start += item.size
@@ -119,11 +125,23 @@ class Equations(Contents):
         (mass,) = slopes(balance, [xi_tt])
         rest = ca.substitute(balance.residual, xi_tt, ca.SX.zeros(self.n_strains))
         parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
-        x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", self.n_inputs)
+        x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", u.numel())
         m, r = parts(x, v, w)
         return ca.Function(
             "acceleration", [x, v, w], [-ca.solve(m, r, "qr", {"eps": 1e-30})], ["xi", "xi_t", "u"], ["xi_tt"]
         )
+
+    @cached_property
+    def relaxation(self) -> tuple[Array, Array]:
+        """Of every overstress (b n,) its branch's fraction, and the rate 1/time in 1/s at which it relaxes."""
+        given = np.array([(b.fraction, 1.0 / b.time) for b in self.branches]).reshape(-1, 2)
+        fractions, rates = np.repeat(given, self.n_strains, axis=0).T
+        return _fixed(fractions.copy()), _fixed(rates.copy())
+
+    def overstress_rates(self, rates: ca.MX, overstress: ca.MX) -> ca.MX:
+        """sigma_t = fraction xi_t - sigma / time (b n,) per s of strain ``rates`` (n,) and ``overstress`` (b n,)."""
+        fractions, relaxing = (ca.DM(values) for values in self.relaxation)
+        return fractions * ca.repmat(rates, len(self.branches), 1) - relaxing * overstress
 
     def native(self, function: ca.Function) -> ca.Function:
         """``function`` as this scene evaluates it: by the virtual machine of CasADi; compiled scenes differ."""
@@ -131,19 +149,21 @@ class Equations(Contents):
 
     # States and inputs -----------------------------------------------------------------------------------------------
 
-    def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike) -> Array:
-        """Stack a state [xi, xi_t, u] from its parts.
+    def state(self, strains: ArrayLike, rates: ArrayLike, u: ArrayLike, overstress: ArrayLike | None = None) -> Array:
+        """Stack a state [xi, xi_t, u], with Maxwell branches [xi, xi_t, sigma, u], from its parts.
 
         Args:
             strains: xi (n_strains,).
             rates: xi_t (n_strains,) per s.
             u: inputs (n_inputs,).
+            overstress: sigma (b n_strains,) of b branches, relaxed when not given.
         """
-        n = self.n_strains
+        n, hidden = self.n_strains, self.layout.n_overstress
         return np.concatenate(
             [
                 finite_array(strains, "strains", (n,)),
                 finite_array(rates, "rates", (n,)),
+                finite_array(np.zeros(hidden) if overstress is None else overstress, "overstress", (hidden,)),
                 self.checked_inputs(u, "u", (self.n_inputs,)),
             ]
         )

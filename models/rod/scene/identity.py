@@ -47,7 +47,9 @@ def fingerprint(scene: Scene, stations: int | ArrayLike = 6) -> str:
 
 def _about(scene: Scene, points: tuple[float, ...]) -> dict[str, object]:
     """What trajectories depend on beside the equations; floats are written so that they read back the same."""
+    branches = {"branches": [(b.fraction, b.time) for b in scene.branches]} if scene.branches else {}
     return {
+        **branches,
         "strains": scene.rod.strain_set.free,
         "balance": scene.balance_type.__name__,
         "nodes": scene.element_nodes,

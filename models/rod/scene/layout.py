@@ -12,30 +12,44 @@ class Parts(NamedTuple):
     Attributes:
         strains: free strains xi (..., n), node by node.
         rates: xi_t (..., n) per s.
+        overstress: sigma (..., b n) of b Maxwell branches, branch by branch, each as the strains.
         inputs: u (..., m) as they act at that moment.
     """
 
     strains: Any
     rates: Any
+    overstress: Any
     inputs: Any
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Order of a state [xi, xi_t, u].
+    """Order of a state [xi, xi_t, sigma, u]; scenes without Maxwell branches have no sigma.
 
     Attributes:
         n_strains: number n of free strains at all nodes.
         n_inputs: number m of input entries.
+        n_branches: number b of Maxwell branches.
     """
 
     n_strains: int
     n_inputs: int
+    n_branches: int = 0
+
+    @property
+    def n_overstress(self) -> int:
+        """Number b n of entries of sigma."""
+        return self.n_branches * self.n_strains
 
     @property
     def n_moving(self) -> int:
-        """Number of entries [xi, xi_t] that move by themselves; the inputs stand behind them."""
-        return 2 * self.n_strains
+        """Number of entries [xi, xi_t, sigma] that move by themselves; the inputs stand behind them."""
+        return 2 * self.n_strains + self.n_overstress
+
+    @property
+    def n_acting(self) -> int:
+        """Number of entries [sigma, u] that act on a motion beside its strains and their rates."""
+        return self.n_overstress + self.n_inputs
 
     @property
     def size(self) -> int:
@@ -53,6 +67,11 @@ class Layout:
         return slice(self.n_strains, 2 * self.n_strains)
 
     @property
+    def overstress(self) -> slice:
+        """Of sigma."""
+        return slice(2 * self.n_strains, self.n_moving)
+
+    @property
     def moving(self) -> slice:
         """Of all that moves by itself."""
         return slice(0, self.n_moving)
@@ -64,5 +83,13 @@ class Layout:
 
     def split(self, x: Any) -> Parts:
         """The parts of states ``x``: arrays (..., n_states), or a column (n_states, 1) of CasADi."""
-        entries = (self.strains, self.rates, self.inputs)
-        return Parts(*(x[s] if hasattr(x, "sparsity") else x[..., s] for s in entries))
+        return Parts(*(_entries(x, s) for s in (self.strains, self.rates, self.overstress, self.inputs)))
+
+    def arguments(self, x: Any) -> tuple[Any, Any, Any]:
+        """States ``x`` as functions of a motion take them: xi, xi_t and [sigma, u]; see ``split``."""
+        acting = slice(2 * self.n_strains, self.size)
+        return _entries(x, self.strains), _entries(x, self.rates), _entries(x, acting)
+
+
+def _entries(x: Any, where: slice) -> Any:
+    return x[where] if hasattr(x, "sparsity") else x[..., where]

@@ -40,9 +40,12 @@ class Scene(Equations):
     """A rod with the terms that act on it; immutable. Only what it contains is in its equations.
 
     The state is ``[xi, xi_t, u]``: free strains at the Gauss nodes (node by node), their rates, and the inputs as they
-    act at that moment (servo positions of displaced tendons included). ``scene + term``, ``scene - term``,
-    ``scene.replace(term)`` and ``scene.without(TermType)`` give new scenes. Two scenes are equal if their parts are, or
-    if they have terms of the same kinds and the same equations (``fingerprint``).
+    act at that moment (servo positions of displaced tendons included). With Maxwell branches it is
+    ``[xi, xi_t, sigma, u]`` with their overstress; ``layout`` says where what stands, ``state`` stacks it.
+
+    ``scene + term``, ``scene - term``, ``scene.replace(term)`` and ``scene.without(TermType)`` give new scenes. Two
+    scenes are equal if their parts are, or if they have terms of the same kinds and the same equations
+    (``fingerprint``).
 
     Args:
         rod: the rod.

@@ -18,6 +18,7 @@ from pisplit.models.rod.terms.distributed import DistributedWrench
 from pisplit.models.rod.terms.drag import AnisotropicDrag, LinearDrag, QuadraticDrag
 from pisplit.models.rod.terms.gravity import Gravity
 from pisplit.models.rod.terms.loads import Input
+from pisplit.models.rod.terms.maxwell import Maxwell
 from pisplit.models.rod.terms.points import PointMass, PointWrench
 from pisplit.models.rod.terms.pull import TendonTerm
 from pisplit.models.rod.terms.wrench import TipWrench
@@ -35,6 +36,7 @@ KNOWN = (
     Gravity,
     KelvinVoigt,
     LinearDrag,
+    Maxwell,
     PointMass,
     PointWrench,
     QuadraticDrag,

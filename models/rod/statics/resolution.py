@@ -58,7 +58,7 @@ class Resolution(Rebuilt):
 
         Infinite where the finer balance has no slopes (at the load at which the rod buckles), or overflows.
         """
-        strains, _, u = self.scene.layout.split(state)
+        strains, *_, u = self.scene.layout.split(state)
         better = self.interpolated(strains)
         better = better + self._newton_step(better, u)
         if not np.isfinite(better).all():
@@ -120,21 +120,22 @@ class Resolution(Rebuilt):
             yield here, state
 
     def on_finer(self, state: Array) -> Array:
-        """``state`` [xi, xi_t, u] on the finer grid: rates are interpolated, and strains so that forces are.
+        """``state`` [xi, xi_t, sigma, u] on the finer grid: all are interpolated, but strains so that forces are.
 
         An equilibrium so goes to the one there; what is let go is pulled back by what pulled it on its own grid.
         """
-        strains, rates, u = self.scene.layout.split(state)
-        xi, rates = self.interpolated(strains), self.interpolated(rates)
+        strains, rates, overstress, u = self.scene.layout.split(state)
+        xi, rates, overstress = (self.interpolated(part) for part in (strains, rates, overstress))
         force = self.interpolated(np.asarray(self._balance(strains, u)).ravel())
         root = self._root_near(xi, u, 0.0 if np.abs(force).max() < BALANCED else force)
-        return np.concatenate([xi if root is None else root, rates, u])
+        return np.concatenate([xi if root is None else root, rates, overstress, u])
 
     def interpolated(self, values: Array) -> Array:
-        """Strains or their rates ``values`` (..., n) at the nodes of the finer grid."""
-        at_nodes = values.reshape(*values.shape[:-1], self.scene.nodes, -1)
+        """Strains, their rates or overstress ``values`` (..., b n) at the nodes of the finer grid."""
+        blocks = values.shape[-1] // self.scene.n_strains
+        at_nodes = values.reshape(*values.shape[:-1], blocks, self.scene.nodes, self.scene.rod.strain_set.n_fields)
         finer = self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes
-        return np.asarray(finer).reshape(*values.shape[:-1], -1)
+        return np.asarray(finer).reshape(*values.shape[:-1], blocks * self.finer.n_strains)
 
     def _root_near(self, xi: Array, u: Array, force: Array | float = 0.0) -> Array | None:
         """Strains (n,) of the finer grid near ``xi`` with the residual ``force``, None where the steps overflow."""

@@ -200,7 +200,7 @@ class Statics(Rebuilt):
             guess = self._affine_guess(rows)
         else:
             states = finite_array(near, "near", (len(rows), scene.n_states))
-            strains, _, before = scene.layout.split(states)
+            strains, *_, before = scene.layout.split(states)
             guess = search.scaled(strains)
             resting = search.worst_of_rows(guess, before) <= RESTING
         for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
@@ -293,7 +293,7 @@ class Statics(Rebuilt):
         Negative: unstable. Without an energy (follower loads, friction) it is the least real part of the eigenvalues,
         which rules out buckling, not flutter.
         """
-        strains, _, u = self.scene.layout.split(checked_state(self.scene, state))
+        strains, *_, u = self.scene.layout.split(checked_state(self.scene, state))
         if self.held is not None:
             return self.held.margin(strains, u)
         return self.branches.margin(self.search.scaled(strains), u)
