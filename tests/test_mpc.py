@@ -11,39 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pisplit.controllers import MPC, FeedForward, QPSettings
+from example_models import DIFFERENTIAL, EXACT, arm_model
+from pisplit.controllers import MPC, QPSettings
 from pisplit.controllers.mpc.qp import QP
 from pisplit.lifted.model import LiftedModel
-
-DIFFERENTIAL = np.linalg.svd(np.eye(3) - 1.0 / 3.0)[0][:, :2]  # three tendons without a common pull
-EXACT = QPSettings(eps=1e-8, max_iterations=100_000, first_max_iterations=100_000)
-
-
-def arm_model(seed: int = 0, n: int = 6, basis: np.ndarray = DIFFERENTIAL, radius: float = 0.95) -> LiftedModel:
-    """Random stable model without delays, three inputs of a centimetre moving outputs by about ten."""
-    rng = np.random.default_rng(seed)
-    A = rng.standard_normal((n, n))
-    A *= radius / np.abs(np.linalg.eigvals(A)).max()
-    x, v, u = ca.SX.sym("x", n), ca.SX.sym("v", 3, 0), ca.SX.sym("u", 3)
-    return LiftedModel(
-        A=A,
-        B=2.0 * rng.standard_normal((n, 3)),
-        c=1e-3 * rng.standard_normal(n),
-        C=np.eye(n),
-        d=np.zeros(n),
-        dt=0.03,
-        lift_function=ca.Function("lift", [x, v], [x]),
-        input_function=ca.Function("phi", [u], [u]),
-        n_delays=0,
-        state_names=tuple(f"x{i}" for i in range(n)),
-        input_names=("u1", "u2", "u3"),
-        column_names=tuple(f"x{i}" for i in range(n)),
-        feature_names=("u1", "u2", "u3"),
-        input_offset=np.array([0.001, 0.001, 0.001]),
-        input_basis=basis,
-        state_range=np.ones(n),
-        outputs={"tip": (0, 1, 2)},
-    )
 
 
 def optimal_inputs(
@@ -296,63 +267,6 @@ def test_a_larger_output_scale_counts_for_less() -> None:
     np.testing.assert_allclose(found, [1.0, -1.0], atol=1e-3)
 
 
-def shift_register() -> LiftedModel:
-    """y_{k+1} = u_k in three coordinates: the input is the output of the next step."""
-    model = arm_model(0)
-    return replace(
-        model, A=np.zeros((6, 6)), B=np.eye(6, 3), c=np.zeros(6), input_offset=np.zeros(3), input_basis=np.eye(3)
-    )
-
-
-def test_the_first_sample_of_the_window_is_that_of_the_next_step() -> None:
-    mpc = MPC(shift_register(), 6, -1.0, 1.0, 2.0, rate_weight=0.0, qp=EXACT)
-    for k in range(4):
-        window = np.random.default_rng(k).uniform(-0.5, 0.5, (6, 3))
-        move = mpc.step(np.zeros(6) if k == 0 else np.concatenate([u, np.zeros(3)]), window)  # noqa: F821
-        u = move.u
-        np.testing.assert_allclose(u, window[0], atol=1e-6)
-        np.testing.assert_allclose(move.predicted, window, atol=1e-6)
-
-
-def test_the_estimate_closes_the_gap_to_the_prediction_by_its_gain() -> None:
-    model, rng = arm_model(5), np.random.default_rng(5)
-    for gain in (0.0, 0.3, 1.0):
-        mpc = MPC(model, 5, -0.01, 0.01, 0.003, estimator_gain=gain)
-        mpc.reset(model.input_offset)
-        w, predicted = np.zeros(6), None
-        for _ in range(4):
-            x = 0.05 * rng.standard_normal(6)
-            u = mpc.step(x, np.zeros((5, 3))).u
-            if predicted is not None:
-                w = w + gain * (x - predicted)
-            np.testing.assert_allclose(mpc.disturbance, w, atol=1e-14)
-            predicted = model.A @ x + model.B @ u + model.c + w
-
-
-def test_a_constant_disturbance_is_found_with_its_sign() -> None:
-    model, load = arm_model(6), 1e-3 * np.arange(1.0, 7.0)
-    mpc = MPC(model, 5, -0.01, 0.01, 0.003)
-    mpc.reset(model.input_offset)
-    x = np.zeros(6)
-    for _ in range(60):
-        x = model.step(x, mpc.step(x, np.zeros((5, 3))).u) + load
-    np.testing.assert_allclose(mpc.disturbance, load, rtol=1e-6)
-
-
-@pytest.mark.parametrize("error", [0.9, 1.2])
-def test_a_wrong_read_out_leaves_no_offset(error: float) -> None:
-    """C = 0.9 or 1.2 where the output is the state: what it misses now it is taken to miss over the horizon."""
-    model = replace(arm_model(7, basis=np.eye(3)), C=error * np.eye(6))
-    mpc = MPC(model, 10, -0.1, 0.1, 0.01, rate_weight=1e-3)
-    mpc.reset(model.input_offset)
-    x, target = np.zeros(6), np.array([0.05, -0.03, 0.04])
-    for _ in range(300):
-        move = mpc.step(x, np.tile(target, (10, 1)))
-        x = model.step(x, move.u)
-    np.testing.assert_allclose(x[:3], target, atol=2e-4)
-    np.testing.assert_allclose(move.predicted[0], x[:3], atol=1e-4)
-
-
 def test_the_shifted_plan_and_its_multipliers_solve_the_next_problem() -> None:
     """Far from the end of the horizon nothing new comes: the solver has nothing left to do, limits active or not."""
     model = replace(arm_model(8, radius=0.3), input_basis=np.eye(3))
@@ -369,91 +283,6 @@ def test_the_shifted_plan_and_its_multipliers_solve_the_next_problem() -> None:
         before = move.u
     assert at_limit >= 3
     assert max(iterations[1:]) <= iterations[0] / 8 and iterations[-1] == 10  # the first check of the solver
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"horizon": 0}, "horizon = 0"),
-        ({"u_min": [-0.01, -0.01]}, r"u_min has shape \(2,\); expected \(3,\)"),
-        ({"u_min": 0.02}, "u_min = 0.02 is not below u_max = 0.01"),
-        ({"du_max": 0.0}, "du_max = 0; expected a positive change"),
-        ({"du_max": np.nan}, "du_max has 3 NaN"),
-        ({"u_min": 0.005}, "contains no input of the training data"),
-        ({"track": "elbow"}, "'elbow' names no output of the model; it has 'tip'"),
-        ({"track": (0, 9)}, "expected state names, or indices from 0 to 5"),
-        ({"axes": (0, 3)}, "axes"),
-        ({"dt": 0.05}, "dt = 0.05 s, the model has 0.03 s"),
-        ({"output_weight": [1.0, 2.0]}, "output_weight"),
-        ({"output_weight": 0.0}, "output_weight"),
-        ({"rate_weight": -1.0}, "rate_weight = -1"),
-        ({"y_min": 0.1, "y_max": 0.0}, "y_min"),
-        ({"estimator_gain": 1.5}, "estimator_gain = 1.5"),
-        ({"u_min": None}, "u_min = None; give the lower limits"),
-        ({"u_max": None}, "u_max = None; give the upper limits"),
-        ({"du_max": None}, "du_max = None; give the largest change per step"),
-        ({"u_min": 0.01}, "u_min = 0.01 is not below u_max = 0.01"),
-        ({"u_min": 0.02, "u_max": -0.02}, "u_min = 0.02 is not below u_max = -0.02"),
-        ({"y_min": [0.0]}, "y_min = .* expected a number or 3 numbers"),
-        ({"output_scale": [1.0, 2.0]}, "output_scale = .* expected a number or 3 numbers"),
-        ({"output_scale": 0.0}, "output_scale"),
-        ({"output_slack_weight": 10.0}, "output_slack_weight has no effect without y_min or y_max"),
-        ({"output_slack_weight": 10.0, "y_max": np.inf}, "output_slack_weight has no effect"),
-        ({"output_slack_weight": 0.0, "y_max": 1.0}, "output_slack_weight = 0"),
-        ({"rate_weight": [1.0, 1.0]}, "rate_weight is not a number"),
-        ({"input_weight": None}, "input_weight is not a number"),
-        ({"horizon": 5.0}, "horizon = 5.0"),
-        ({"track": ["x0", "x7"]}, "'x7', which is no state of the model"),
-        ({"track": ["x0", 0]}, "names a state twice"),
-        ({"track": []}, "axes"),
-        ({"axes": (0, 0)}, "axes"),
-        ({"axes": (0.5,)}, "axes"),
-    ],
-)
-def test_wrong_arguments_raise_one_line(changes: dict[str, object], message: str) -> None:
-    arguments: dict[str, object] = {"horizon": 5, "u_min": -0.01, "u_max": 0.01, "du_max": 0.002} | changes
-    with pytest.raises(ValueError, match=message) as caught:
-        MPC(arm_model(0), **arguments)  # type: ignore[arg-type]
-    assert "\n" not in str(caught.value)
-
-
-def test_wrong_measurements_and_references_raise() -> None:
-    mpc = MPC(arm_model(0), 5, -0.01, 0.01, 0.002)
-    with pytest.raises(ValueError, match="x_measured has shape"):
-        mpc.step(np.zeros(5), np.zeros((5, 3)))
-    with pytest.raises(ValueError, match="x_measured has infinite entries"):
-        mpc.step(np.array([0, 0, 0, 0, 0, np.inf]), np.zeros((5, 3)))
-    with pytest.raises(ValueError, match=r"reference_window has shape \(4, 3\); expected \(5, 3\)"):
-        mpc.step(np.zeros(6), np.zeros((4, 3)))
-    with pytest.raises(ValueError, match="outside u_min"):
-        mpc.reset([0.05, 0.0, 0.0])
-    with pytest.raises(ValueError, match="input_basis"):
-        MPC(arm_model(0, basis=np.zeros((3, 0))), 5, -0.01, 0.01, 0.002)
-    for wrong in ({"eps": 0.0}, {"max_iterations": 0}, {"first_max_iterations": 2.5}):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            QPSettings(**wrong)  # type: ignore[arg-type]
-
-
-def test_a_model_without_inputs_controls_nothing() -> None:
-    base = arm_model(0)
-    x, v, u = ca.SX.sym("x", 6), ca.SX.sym("v", 0, 0), ca.SX.sym("u", 0)
-    free = replace(
-        base,
-        B=np.zeros((6, 0)),
-        input_names=(),
-        feature_names=(),
-        input_offset=np.zeros(0),
-        input_basis=np.zeros((0, 0)),
-        lift_function=ca.Function("lift", [x, v], [x]),
-        input_function=ca.Function("phi", [u], [u]),
-        input_units=None,
-    )
-    for make in (
-        lambda: MPC(free, 5, -1.0, 1.0, 0.1),
-        lambda: FeedForward(lambda y: np.zeros(0), free, -1.0, 1.0, 0.1),
-    ):
-        with pytest.raises(ValueError, match="the model has no inputs: nothing can be controlled"):
-            make()
 
 
 def test_the_time_of_a_step_is_its_own() -> None:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
+from pisplit.data.input_subspace import combination
+from pisplit.lifted.model import LiftedModel
 
 SPAN_TOLERANCE = 1e-10  # distance in half box widths at which an input counts as in offset + span(basis)
 
@@ -159,6 +161,22 @@ def directions(basis: ArrayLike, n_inputs: int) -> Array:
             "give independent directions, np.eye(m) for all"
         )
     return np.linalg.qr(columns)[0]
+
+
+def held_directions(model: LiftedModel, basis: Array, given: bool) -> tuple[str, ...]:
+    """Lines on the directions in which inputs may move, where recordings of the ``model`` leave some of them out.
+
+    ``basis`` (m, r): the directions that are free; whether they were ``given`` by the user.
+    """
+    known = model.provenance.get("input_directions", [])
+    if given:
+        return (f"inputs move in {basis.shape[1]} of {model.n_inputs} directions, as given in input_basis", *known)
+    if basis.shape[1] == model.n_inputs:
+        return ()
+    if not known:
+        held = np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :].T
+        known = [f"{combination(row, model.input_names)}: held" for row in held]
+    return ("inputs move in the directions that the recordings excite; input_basis overrides", *known)
 
 
 def _each_input(value: ArrayLike, name: str, n_inputs: int) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from pisplit.checks import Array
+from pisplit.controllers.estimation.lifted_state import LiftedStateEstimation
 from pisplit.controllers.loop.loop import ClosedLoop
 from pisplit.controllers.loop.plant import PlantStep
 from pisplit.controllers.mpc.limits import InputLimits
@@ -64,17 +65,28 @@ class PushedModel(ModelPlant):
         return PlantStep(state)
 
 
+class KnownState(LiftedStateEstimation):
+    """An estimation that is told the lifted state, by the ``moving`` model itself. ``settings`` as for others."""
+
+    def __init__(self, moving: PushedModel, **settings: Any) -> None:
+        self._moving = moving
+        super().__init__(**settings)
+
+    def _observed(self, measured: Array) -> tuple[Array | None, int]:
+        self.readout = np.zeros(self.model.n_states)
+        return self._moving.lifted, 0
+
+
 class InLiftedState(MPC):
     """An MPC that sees the lifted state of the ``moving`` model itself: what a model reads of its states need not lift
     to where it is, and that is no error of the loop. ``args`` and ``settings`` as for an MPC."""
 
     def __init__(self, moving: PushedModel, *args: Any, **settings: Any) -> None:
-        super().__init__(*args, **settings)
         self._moving = moving
+        super().__init__(*args, **settings)
 
-    def _observed(self, measured: Array) -> tuple[Array | None, int]:
-        self._readout = np.zeros(self.model.n_states)
-        return self._moving.lifted, 0
+    def _estimation_of(self, **settings: Any) -> LiftedStateEstimation:
+        return KnownState(self._moving, **settings)
 
 
 @dataclass(frozen=True, eq=False)
