@@ -9,6 +9,7 @@ from pisplit.controllers.loop.following import LoopStep
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.loop import ClosedLoop
 from pisplit.controllers.loop.plant import Plant, PlantStep
+from pisplit.controllers.loop.reidentify import Identifier, NewModel
 from pisplit.controllers.loop.tracking import Controller, Move
 from pisplit.controllers.mpc.condense import Condensed, condense
 from pisplit.controllers.mpc.mpc import MPC
@@ -23,11 +24,13 @@ __all__ = [
     "Condensed",
     "Controller",
     "FeedForward",
+    "Identifier",
     "InnovationWatch",
     "KalmanFilter",
     "LoopLog",
     "LoopStep",
     "Move",
+    "NewModel",
     "Plant",
     "PlantStep",
     "QPSettings",

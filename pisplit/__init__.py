@@ -41,6 +41,7 @@ if _TYPE_CHECKING:
     from pisplit.evaluation.predicted import predicted_error as predicted_error
     from pisplit.evaluation.rollouts import RolloutErrors as RolloutErrors
     from pisplit.evaluation.rollouts import rollout_errors as rollout_errors
+    from pisplit.front import ArmIdentifier as ArmIdentifier
     from pisplit.front import Identified as Identified
     from pisplit.front import identify as identify
     from pisplit.generator import HalfStep as HalfStep
@@ -84,7 +85,7 @@ _PLACES = {
     "pisplit.evaluation.horizon": "HorizonErrors horizon_errors",
     "pisplit.evaluation.predicted": "PredictedError predicted_error",
     "pisplit.evaluation.rollouts": "RolloutErrors rollout_errors",
-    "pisplit.front": "Identified identify",
+    "pisplit.front": "ArmIdentifier Identified identify",
     "pisplit.generator": "HalfStep Spectrum generator_edmd generator_spectrum half_step",
     "pisplit.lifted.formats": "to_c_header to_control to_numpy to_state_space",
     "pisplit.lifted.model": "LiftedModel Rollout",
@@ -101,6 +102,7 @@ _MODULES = {"observables": "pisplit.observables", "references": "pisplit.control
 
 __all__ = [
     "Actuator",
+    "ArmIdentifier",
     "BilinearEDMDc",
     "Chosen",
     "Comparison",

@@ -1,5 +1,7 @@
 """Models that tests of controllers share."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
@@ -34,4 +36,25 @@ def arm_model(seed: int = 0, n: int = 6, basis: np.ndarray = DIFFERENTIAL, radiu
         input_basis=basis,
         state_range=np.ones(n),
         outputs={"tip": (0, 1, 2)},
+    )
+
+
+def delayed_model() -> LiftedModel:
+    """z = [x_k, x_{k-1}, u_{k-1}] with a motion that depends on all of them."""
+    base, rng = arm_model(3, basis=np.eye(3), radius=0.8), np.random.default_rng(3)
+    A, B = np.zeros((15, 15)), np.zeros((15, 3))
+    A[:6, :6], A[:6, 6:12], A[:6, 12:] = base.A, 0.05 * rng.standard_normal((6, 6)), base.B
+    A[6:12, :6] = np.eye(6)
+    B[:6], B[12:] = 0.5 * base.B, np.eye(3)
+    x, v = ca.SX.sym("x", 6, 2), ca.SX.sym("v", 3, 1)
+    names = (*base.column_names, *(f"{n}[k-1]" for n in base.column_names), "v1", "v2", "v3")
+    return replace(
+        base,
+        A=A,
+        B=B,
+        c=np.zeros(15),
+        C=np.eye(6, 15),
+        n_delays=1,
+        lift_function=ca.Function("lift", [x, v], [ca.vertcat(x[:, 1], x[:, 0], v)]),
+        column_names=names,
     )

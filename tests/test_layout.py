@@ -34,7 +34,7 @@ CONTROLLERS = {
     "feedforward": {"loop", "mpc"},
     "references": set(),
     "plants": {"loop"},
-    "tuning": {"loop", "mpc", "plants", "references"},
+    "tuning": {"estimation", "loop", "mpc", "plants", "references"},
 }
 ROD = {
     "kinematics": set(),

@@ -59,6 +59,7 @@ class KalmanFilter:
         M = found.n_lifted
         Q = finite_array(process, "process", (M, M))
         self._C, self._d = found.C[self.measured], found.d[self.measured]
+        self._std = std
         noise: Array = np.maximum(_noise(found, self.measured, std), EXACT * found.state_range[self.measured])
         P = predicted_covariance(found.transition(found.input_offset), self._C, 0.5 * (Q + Q.T), noise**2)
         S = self._C @ P @ self._C.T + np.diag(noise**2)
@@ -93,6 +94,10 @@ class KalmanFilter:
             missed = after - found.rollout(z, now).z[:, 1]
             total += missed.T @ missed
         return cls(found, total / len(pairs), std, measured, gate)
+
+    def of_model(self, model: LiftedModel, episodes: Episodes) -> KalmanFilter:
+        """A filter of another ``model`` with the same states, sensors and gate; process noise of its ``episodes``."""
+        return KalmanFilter.from_data(model, episodes, self._std, self.measured.tolist(), self.gate)
 
     def innovation(self, predicted: Array, x: Array) -> Array:
         """y - C z - d (p,) of z = ``predicted`` (M,) and the state ``x`` (n,), NaN where it was not measured."""

@@ -104,6 +104,11 @@ class LiftedStateEstimation:
         """Of the disturbance estimate."""
         return self._disturbance.gain
 
+    @property
+    def watches(self) -> bool:
+        """Whether readings that repeat themselves are looked for."""
+        return self._stuck is not None
+
     def reset(self, u0: Array) -> None:
         """Forget everything; the arm rests under ``u0`` (m,)."""
         self._history = History(self.model.n_delays, self.model.n_states, u0)
@@ -114,6 +119,20 @@ class LiftedStateEstimation:
             self._stuck.reset()
         self._past = deque(maxlen=0 if self._stuck is None else MEMORY * self._stuck.steps)
         self._doubts = np.zeros(0 if self.observer is None else len(self.observer.measured), dtype=np.int64)
+
+    def remember(self, states: Array, inputs: Array) -> None:
+        """Take in the ``states`` (T, n) and the ``inputs`` (T, m) after them of a run, as far as delays reach.
+
+        Where a state was not measured lately, only what came after it is taken in.
+        """
+        D = self.model.n_delays
+        states, inputs = states[max(0, len(states) - D) :], inputs[max(0, len(inputs) - D) :]
+        gaps = np.flatnonzero(np.isnan(states).any(axis=1))
+        first = int(gaps[-1]) + 1 if len(gaps) else 0
+        for k, (x, u) in enumerate(zip(states, inputs, strict=True)):
+            if k >= first:
+                self._history.measure(x)
+            self._history.apply(u)
 
     def snapshot(self) -> EstimationState:
         """The state from which ``restore`` goes on."""

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from pisplit.checks import Array, count
+from pisplit.checks import Array, count, positive
 from pisplit.controllers.loop.following import Callback, Follower, LoopStep
 from pisplit.controllers.loop.log import INTERRUPTED, LoopLog
 from pisplit.controllers.loop.pacing import Pace
 from pisplit.controllers.loop.plant import Plant
 from pisplit.controllers.loop.recorder import Recorder
+from pisplit.controllers.loop.reidentify import Identifier, NewModel, changed
 from pisplit.controllers.loop.tracking import Controller, Move, start_input
 from pisplit.controllers.loop.wiring import wire
 from pisplit.controllers.references import Reference
@@ -106,6 +107,29 @@ class ClosedLoop:
         self._look_ahead(N)
         self._warn_if_far()
         return self._go_on(N, progress, realtime, log_file, callbacks)
+
+    def reidentify(self, identify: Identifier, seconds: float = 60.0) -> NewModel:
+        """Identify the system again from the last ``seconds`` of the log, and go on with the new model.
+
+        ``identify``: takes a :class:`LoopLog` and gives a :class:`NewModel`, as
+        :class:`pisplit.front.ArmIdentifier` does for tendon arms. The controller is replaced by the same one on the new
+        model, with the history of the run, so that ``resume`` goes on and ``run`` begins anew; what was identified is
+        noted in the log. Where identification raises, the loop stays as it was.
+
+        Raises ValueError without a run, after one that ended amid a step, for a controller without ``with_model``, and
+        for a model of other states and inputs.
+        """
+        record, dt = self._recorded(), float(self.plant.dt)
+        if record.message:
+            raise ValueError(f"the run ended amid a step ({record.message}); run anew, then reidentify")
+        first = max(0, len(record.u) - count(round(positive(seconds, "seconds", "s") / dt), "seconds / dt"))
+        log = record.log(dt, self.controller, self._wiring, first)
+        new = identify(log)
+        controller = changed(self.controller, new, log)
+        self._wiring, self.controller = wire(self.plant, controller.model), controller
+        record.notes += [f"t = {log.t[-1]:.2f} s: {note}" for note in new.notes]
+        self._take_turn()
+        return new
 
     def resume(
         self,

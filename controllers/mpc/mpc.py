@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from pisplit.checks import Array, count, non_negative, positive, real_array
 from pisplit.controllers.estimation.kalman import KalmanFilter
 from pisplit.controllers.estimation.lifted_state import LiftedStateEstimation
 from pisplit.controllers.loop.history import Line
+from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.tracking import (
     Move,
     check_dt,
@@ -31,7 +34,9 @@ from pisplit.controllers.mpc.qp import QPResult, QPSettings
 from pisplit.controllers.mpc.state import MPCState
 from pisplit.controllers.mpc.steady import SteadyTarget
 from pisplit.data.columns import in_order
+from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, model_of
+from pisplit.files import write_text
 from pisplit.lifted.model import LiftedModel
 from pisplit.threads import one_blas_thread
 
@@ -110,6 +115,7 @@ class MPC:
         measurement_delay: float = 0.0,
         stuck_after: int | None = 5,
     ) -> None:
+        self._arguments = {k: v for k, v in locals().items() if k not in ("self", "model", "observer", "__class__")}
         self.model = model = model_of(model, "model")
         self._H = count(horizon, "horizon")
         self._latency = Latency(command_delay, measurement_delay)
@@ -200,6 +206,45 @@ class MPC:
         self._commanded = np.array(start)
         self._wanted = None
         self._plan = None
+
+    def with_model(self, model: LiftedModel | Fitted, log: LoopLog, episodes: Episodes | None = None) -> MPC:
+        """The same controller on another ``model`` of the same states and inputs, in the midst of the run of ``log``.
+
+        Arguments are those of this controller, ``output_scale`` in numbers, so that weights mean the same. Measurements
+        and inputs at the end of the log are its history; what was learned of disturbances is forgotten. An observer
+        gets the process noise of ``episodes``. Raises ValueError where one is needed and there are none, and for a
+        model of other sizes.
+        """
+        found, observer = model_of(model, "model"), self._estimation.observer
+        if (found.n_states, found.n_inputs) != (self.model.n_states, self.model.n_inputs):
+            raise ValueError(
+                f"the model has {found.n_states} states and {found.n_inputs} inputs, the controller "
+                f"{self.model.n_states} and {self.model.n_inputs}"
+            )
+        if observer is not None:
+            if episodes is None:
+                raise ValueError("the observer needs recordings of what the new model describes: give episodes")
+            observer = observer.of_model(found, episodes)
+        other = type(self)(found, **self._arguments | {"output_scale": self.output_scale}, observer=observer)
+        other.reset(log.u[-1] if len(log.u) else log.u0)
+        other._fallback.restore(replace(other._fallback.snapshot(), rest=self._fallback.snapshot().rest))
+        other._line.fill(log.u0)
+        acting = [other._line(u) for u in log.u]
+        other._estimation.remember(log.x[:-1], np.reshape(acting, log.u.shape))
+        other._wanted = None if self._wanted is None else self._wanted.copy()
+        return other
+
+    def to_c(self, path: str | os.PathLike[str], name: str = "mpc") -> None:
+        """Write the whole step to ``path`` as one C99 header without allocation: estimate, program, fallback.
+
+        With ``name`` = NAME it defines ``name_state``, ``name_reset(state, u0)`` and ``name_step(state, x, r, u)``,
+        which returns NAME_SOLVED or what stood in for a solution; the head of the file says the rest. The program is
+        solved exactly, by the dual active-set method of Goldfarb and Idnani. Raises ValueError for models that are not
+        linear in the inputs, output limits, ``stuck_after`` that is not None, and a name that is no identifier.
+        """
+        from pisplit.controllers.mpc.c_code import c_step
+
+        write_text(path, c_step(self, name))
 
     def snapshot(self) -> MPCState:
         """What the next step depends on beside the arguments of the controller; ``restore`` goes on from there."""

@@ -5,6 +5,7 @@ It stands above all rooms and is the only place in ``pisplit/`` that names model
 
 from pisplit.front.control import Control
 from pisplit.front.identification import Identified, identify
+from pisplit.front.reidentification import ArmIdentifier, Causes, bilinear_twin
 from pisplit.front.report import Report
 
-__all__ = ["Control", "Identified", "Report", "identify"]
+__all__ = ["ArmIdentifier", "Causes", "Control", "Identified", "Report", "bilinear_twin", "identify"]

@@ -44,19 +44,19 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "common subexpressions cost time and change no value",
     ),
     Equivalent(
-        "controllers/mpc/mpc.py",
+        "controllers/mpc/prediction.py",
         "self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)",
         "self._offset_response = self._response.reshape(H * p, -2) @ np.tile(limits.offset, H)",
         "NumPy takes any negative number for the length that follows from the others",
     ),
     Equivalent(
-        "controllers/mpc/mpc.py",
+        "controllers/mpc/growth.py",
         "if len(A) > 50:",
         "if len(A) > 51:",
         "both ways give the spectral radius; the size decides which is faster",
     ),
     Equivalent(
-        "controllers/mpc/mpc.py",
+        "controllers/mpc/growth.py",
         "start = np.random.default_rng(0).standard_normal(len(A))",
         "start = np.random.default_rng(1).standard_normal(len(A))",
         "any start vector leads the iteration to the same eigenvalue",
@@ -198,15 +198,15 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "keeps a move of zero from being divided by zero; every move is larger",
     ),
     Equivalent(
-        "controllers/mpc/mpc.py",
+        "controllers/mpc/prediction.py",
         "centre = limits.offset + limits.basis @ limits.coordinates(0.5 * (limits.u_min + limits.u_max))",
         "centre = limits.offset + limits.basis @ limits.coordinates(0.5 * ((limits.u_min)))",
         "the response of a model that is not linear is formed anew at every step; this one sets the pattern",
     ),
     Equivalent(
-        "controllers/mpc/mpc.py",
-        "S, _ = self._linearise(np.tile(centre, (H, 1)), np.zeros((H, self._T.shape[1])))",
-        "S, _ = self._linearise(np.tile(centre, (H, 1)), np.ones((H, self._T.shape[1])))",
+        "controllers/mpc/prediction.py",
+        "S, _ = self._linearise(np.tile(centre, (H, 1)), np.zeros((H, r)))",
+        "S, _ = self._linearise(np.tile(centre, (H, 1)), np.ones((H, r)))",
         "the response of a model that is not linear is formed anew at every step; this one sets the pattern",
     ),
     Equivalent(

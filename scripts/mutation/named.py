@@ -46,8 +46,8 @@ NAMED = (
     ),
     Named(
         "controllers/mpc/mpc.py",
-        "y_free += np.tile(x[list",
-        "y_free -= np.tile(x[list",
+        "y_free += np.tile(estimation.readout[list",
+        "y_free -= np.tile(estimation.readout[list",
         "no offset with a wrong read-out C",
     ),
     Named(

@@ -1,0 +1,194 @@
+"""An arm identified again from the log of its loop: tip mass and stiffness, and the model that follows from them."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pisplit.checks import Array, check_same_step, count, one_of
+from pisplit.controllers.loop.log import LoopLog
+from pisplit.controllers.loop.reidentify import NewModel
+from pisplit.data.actuator import Actuator
+from pisplit.data.episodes import Episodes
+from pisplit.models.arm import TendonArm, random_displacements, twin_alone, twin_dictionary
+from pisplit.models.arm.resting import RestShapes
+from pisplit.models.calibration import (
+    Calibration,
+    calibrate_from_recordings,
+    calibrate_from_shapes,
+    nominal_parameters,
+)
+from pisplit.models.rod.analysis.fields import N_FIELDS
+
+#: Windows of the log and their steps: longer ones of violent motion jump between solutions.
+WINDOWS, STEPS = 16, 6
+#: Misses in standard deviations of the sensors from which on what was freed does not explain the log.
+UNEXPLAINED = 3.0
+#: Recordings of the simulated arm that a new model learns from, their steps, principal components, ridge.
+TWIN, TWIN_STEPS, COMPONENTS, RIDGE, SEED = 16, 200, 4, 1e-5, 7919
+#: Mass at the tip in kg with which a fit to shapes at rest begins.
+FIRST_MASS = 5e-3
+#: What a change may be, by the parameters that it frees.
+CAUSES = {"payload": "load", "stiffness": "bending", "damping": "damping", "play": "play"}
+#: Two causes are told apart where one leaves misses so many times as large as the other.
+APART = 1.5
+
+Rebuild = Callable[[TendonArm, float, int], tuple[Any, Episodes]]
+
+
+@dataclass(frozen=True)
+class ArmIdentifier:
+    """For :meth:`pisplit.controllers.ClosedLoop.reidentify`: an arm's tip mass and stiffness from its loop.
+
+    From windows of the log by output error with unknown initial states (``calibrate_from_recordings``), or from
+    ``shapes`` at rest where they are given; then the model is made anew by ``rebuild``. Standard errors are in the
+    notes of the result, its ``found`` is the :class:`Calibration`, whose ``arm`` is the arm of the next identification.
+
+    Args:
+        arm: as it was known, drawn or calibrated.
+        free: what is identified: "load" (a mass at the tip), "bending", "damping", "tendons", "routing", "friction".
+        shapes: fields at rest, measured since the change.
+        position_error, rotation_error, rate_error: standard deviations of positions in m, of the entries of frames, and
+            of curvatures and velocities in parts of their spread.
+        windows, steps: number of windows of the log, and their steps.
+        rebuild: (arm, dt, stations) -> model and recordings of it; :func:`bilinear_twin` if not given.
+
+    Raises ValueError in use where the log holds too little, another arm's states, or does not identify what is free;
+    :class:`CalibrationError` where the fit fails.
+    """
+
+    arm: TendonArm
+    free: Sequence[str] = ("load", "bending")
+    shapes: RestShapes | None = None
+    position_error: float = 1e-4
+    rotation_error: float = 2e-3
+    rate_error: float = 0.05
+    rebuild: Rebuild | None = None
+    windows: int = WINDOWS
+    steps: int = STEPS
+
+    def __call__(self, log: LoopLog) -> NewModel:
+        """Identify the arm from the end of a ``log`` and make its model anew."""
+        start = time.perf_counter()
+        found = self.calibrated(log)
+        fitted = time.perf_counter() - start
+        stations = log.x.shape[1] // N_FIELDS
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model, episodes = (self.rebuild or bilinear_twin)(found.arm, log.dt, stations)
+        rebuilt = time.perf_counter() - start - fitted
+        told = [" ".join(str(estimate).split()) for estimate in found.estimates]
+        what = "windows" if self.shapes is None else "shapes at rest"
+        notes = (
+            f"identified again from {found.samples} {what} in {fitted:.1f} s, missed by {found.residual:.2g} standard "
+            f"deviations; the model made anew in {rebuilt:.1f} s",
+            *told,
+        )
+        return NewModel(model, notes, episodes, found)
+
+    def calibrated(self, log: LoopLog) -> Calibration:
+        """What the end of a ``log``, or the shapes, say of the arm; raises ValueError where they do not say it."""
+        found = self._fit(log, self.free, None)
+        unknown = [estimate.name for estimate in found.estimates if not estimate.identified]
+        if unknown:
+            raise ValueError(
+                f"the {'windows of the log' if self.shapes is None else 'shapes'} identify no {', '.join(unknown)}: "
+                "move the arm more, leave it out of free, or give other shapes at rest"
+            )
+        if found.residual > UNEXPLAINED:
+            raise ValueError(
+                f"{', '.join(self.free)} do not explain what was measured: missed by {found.residual:.2g} standard "
+                "deviations; free something else, see causes(log), or correct the errors of the sensors"
+            )
+        return found
+
+    def causes(self, log: LoopLog, names: Sequence[str] = tuple(CAUSES)) -> Causes:
+        """How well each of the causes in ``names`` alone explains the end of a ``log``.
+
+        "payload", "stiffness", "damping", "play": one number is fitted for each. A force or a contact is none of them.
+        """
+        missed = {}
+        for name in names:
+            one_of(name, "cause", tuple(CAUSES))
+            try:
+                fit = self._fit(log, (CAUSES[name],), Actuator() if name == "play" else None)
+                missed[name] = fit.residual, " ".join(str(fit.estimates[0]).split())
+            except RuntimeError as error:
+                missed[name] = np.inf, str(error)
+        return Causes(missed)
+
+    def _fit(self, log: LoopLog, free: Sequence[str], servo: Actuator | None) -> Calibration:
+        if self.shapes is not None and servo is None:
+            s, start = self.shapes, nominal_parameters(self.arm)
+            if "load" in free:  # a search that begins on its bound, no mass, stays there
+                start = replace(start, tip_mass=start.tip_mass + FIRST_MASS)
+            return calibrate_from_shapes(
+                self.arm, s.inputs, s.fields, s.position_error, s.rotation_error, s.stations, free, start
+            )
+        fields, moves = cut(log, self.arm, self.windows, self.steps, servo is not None)
+        errors = self.position_error, self.rotation_error, self.rate_error
+        stations = fields.shape[2] // N_FIELDS
+        return calibrate_from_recordings(
+            self.arm, fields, moves, log.dt, *errors, stations=stations, free=free, actuator=servo
+        )
+
+
+@dataclass(frozen=True)
+class Causes:
+    """``missed``: by cause, root mean square of the misses in standard deviations, and what was fitted."""
+
+    missed: dict[str, tuple[float, str]]
+
+    @property
+    def verdict(self) -> str:
+        """The cause that explains the log, "none of them", or those that are not told apart."""
+        ranked = sorted(self.missed, key=lambda name: self.missed[name][0])
+        least = self.missed[ranked[0]][0]
+        if least > UNEXPLAINED:
+            return "none of them: a force, a contact, several causes at once, or another arm"
+        near = [name for name in ranked if self.missed[name][0] <= APART * max(least, 1.0)]
+        return near[0] if len(near) == 1 else f"not told apart: {', '.join(near)}"
+
+    def __str__(self) -> str:
+        rows = [f"{name:<10} missed by {size:.3g}   {text}" for name, (size, text) in self.missed.items()]
+        return "\n".join([self.verdict, *rows])
+
+
+def cut(log: LoopLog, arm: TendonArm, number: int, steps: int, commands: bool = False) -> Any:
+    """Short windows of a ``log``: fields (N, steps+1, n), and displacements (N, steps+1, m) in m.
+
+    They are spread evenly over where everything was measured. ``number`` of them; ``arm``: whose fields these should
+    be. With ``commands`` the second are lists of all inputs of the log up to the end of each window. Raises ValueError
+    where the states are not the fields of the arm, or nothing was measured for so many steps.
+    """
+    stations, rest = divmod(log.x.shape[1], N_FIELDS)
+    names = tuple(arm.scene.field_map(stations).names) if stations and not rest else ()
+    if names != tuple(log.state_names):
+        raise ValueError("the states of the log are not the fields of the arm at its stations; nothing is identified")
+    inputs = np.vstack([log.u0, log.u])
+    gaps = np.count_nonzero(np.isnan(log.x), axis=1)
+    size = count(steps, "steps") + 1
+    starts = [k for k in range(len(gaps) - size + 1) if not gaps[k : k + size].any()]
+    if len(starts) < 2:
+        raise ValueError(f"no {size} samples in a row are measured in the log of {len(log.u)} steps; run it longer")
+    chosen = [starts[int(i)] for i in np.unique(np.linspace(0, len(starts) - 1, count(number, "number")).astype(int))]
+    fields = np.stack([log.x[k : k + size] for k in chosen])
+    if commands:
+        return fields, [inputs[: k + size] for k in chosen]
+    return fields, np.stack([inputs[k : k + size] for k in chosen])
+
+
+def bilinear_twin(arm: TendonArm, dt: float, stations: int) -> tuple[Any, Episodes]:
+    """A bilinear model of the simulated ``arm``, and the recordings that it learned from.
+
+    ``dt``: time step [s]; ``stations``: number of measured points.
+    """
+    twin = arm.record(TWIN, SEED, TWIN_STEPS, dt, stations, workers=1, progress=False)
+    check_same_step(twin.dt, dt, "the recordings have", "the loop")
+    excitation: Array = np.stack([random_displacements(arm, 120, np.random.default_rng(SEED + k)) for k in range(4)])
+    return twin_alone(twin_dictionary(twin, COMPONENTS), RIDGE, twin, excitation).lifted, twin
