@@ -58,7 +58,7 @@ class InputLimits:
         return self.offset + self.basis @ (self.basis.T @ (u - self.offset))
 
     @cached_property
-    def _normal(self) -> Array | None:
+    def normal(self) -> Array | None:
         """Unit vector (m,) across the plane where that is all there is across it, None where there is more or less."""
         m, r = self.basis.shape
         if m - r != 1:
@@ -75,8 +75,8 @@ class InputLimits:
         if m == r:
             return np.asarray(np.minimum(np.maximum(u, low), high))
         tolerance = SPAN_TOLERANCE * self.amplitude.max()
-        if self._normal is not None:
-            return _nearest(u, low, high, self._normal, self.offset, tolerance)
+        if self.normal is not None:
+            return _nearest(u, low, high, self.normal, self.offset, tolerance)
         for _ in range(200):
             inside = np.clip(u, low, high)
             u = self._on_plane(inside)

@@ -54,6 +54,16 @@ class Prediction:
             p = len(self.read)
             self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)
 
+    @property
+    def constant(self) -> Array:
+        """Outputs (H p,) under no moves of a model linear in u, at z = 0 and w = 0."""
+        return self.condensed.constant + self._offset_response
+
+    @property
+    def late(self) -> Array:
+        """Answer (H p, r) of the outputs to the command before, where delays are no whole steps; else zeros."""
+        return self._latency.part * self._undelayed[:, : self.T.shape[1]]
+
     def __call__(self, z: Array, w: Array, v: Array, v_previous: Array) -> tuple[Array | None, Array]:
         """S (H p, H r), or None where it never changes, and y_free (H p,), at ``z`` (M,) along commands ``v`` (H, r).
 

@@ -73,10 +73,10 @@ class TrackingProblem:
         self.T = limits.basis * self.scale  # (m, r): du/dv
 
         per_amplitude = self.T / amplitude[:, None]
-        self._rate_hessian = weights.rate * per_amplitude.T @ per_amplitude
+        self.rate_hessian = weights.rate * per_amplitude.T @ per_amplitude
         difference = np.eye(H) - np.eye(H, k=-1)
-        self._input_hessian = np.kron(difference.T @ difference, self._rate_hessian)
-        self._input_hessian += np.kron(np.eye(H), weights.input * per_amplitude.T @ per_amplitude)
+        self.input_hessian: Array = np.asarray(np.kron(difference.T @ difference, self.rate_hessian), dtype=np.float64)
+        self.input_hessian += np.kron(np.eye(H), weights.input * per_amplitude.T @ per_amplitude)
 
         self._Q = np.tile(weights.output / weights.scale**2, H)
         self._slack_weight, self._size = weights.slack, np.tile(weights.scale, H)
@@ -91,7 +91,7 @@ class TrackingProblem:
         moving = np.abs(per_amplitude).max(axis=1) > 1e-9
         rows = per_amplitude[moving]
         k = len(rows)
-        self._rate_rows = rows
+        self.rate_rows = rows
         groups = [k, k] + ([n_low, n_high, 1] if self._soft else [])  # rows a stage
         first = np.cumsum([0, *[H * g for g in groups]])
         self._groups = [slice(int(a), int(b)) for a, b in itertools.pairwise(first)]
@@ -103,8 +103,8 @@ class TrackingProblem:
         self._A[rate, : self.n_moves] = np.kron(difference, rows)
         self._lower[box] = np.tile(((limits.u_min - limits.offset) / amplitude)[moving], H)
         self._upper[box] = np.tile(((limits.u_max - limits.offset) / amplitude)[moving], H)
-        self._rate_limit = (limits.du_max / amplitude)[moving]
-        self._lower[rate], self._upper[rate] = -np.tile(self._rate_limit, H), np.tile(self._rate_limit, H)
+        self.rate_limit = (limits.du_max / amplitude)[moving]
+        self._lower[rate], self._upper[rate] = -np.tile(self.rate_limit, H), np.tile(self.rate_limit, H)
         self._first_rate = slice(rate.start, rate.start + k)
         if self._soft:
             below, above, slack = self._groups[2:]
@@ -135,6 +135,17 @@ class TrackingProblem:
         P_pattern |= np.eye(self.n_variables, dtype=bool)
         self._qp = QP(P, self._A, P_pattern, pattern, settings)
         self._beginning = self.snapshot()
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Bounds (H k,) of the k moving inputs, stage by stage, in half box widths about the offset."""
+        rows = self._groups[0]
+        return self._lower[rows], self._upper[rows]
+
+    @property
+    def weights_of_outputs(self) -> Array:
+        """Weights (H p,) of squared output errors, in output units."""
+        return self._Q
 
     def restart(self) -> None:
         """Forget what was solved: the next solve counts as the first."""
@@ -190,11 +201,11 @@ class TrackingProblem:
         error = np.where(specified, y_free - reference, 0.0)
         q = np.zeros(self.n_variables)
         q[: self.n_moves] = (self._weights() * error) @ self._S
-        q[: self._r] -= self._rate_hessian @ v_previous
+        q[: self._r] -= self.rate_hessian @ v_previous
         q *= self._normalise
-        anchor = self._rate_rows @ v_previous
-        self._lower[self._first_rate] = anchor - self._rate_limit
-        self._upper[self._first_rate] = anchor + self._rate_limit
+        anchor = self.rate_rows @ v_previous
+        self._lower[self._first_rate] = anchor - self.rate_limit
+        self._upper[self._first_rate] = anchor + self.rate_limit
         if self._soft:
             free, size = y_free.reshape(self._H, self._p), self._size.reshape(self._H, self._p) * self._reach
             below, above, _ = self._groups[2:]
@@ -241,7 +252,7 @@ class TrackingProblem:
 
     def _hessian(self) -> Array:
         P = np.zeros((self.n_variables, self.n_variables))
-        P[: self.n_moves, : self.n_moves] = self._S.T @ (self._weights()[:, None] * self._S) + self._input_hessian
+        P[: self.n_moves, : self.n_moves] = self._S.T @ (self._weights()[:, None] * self._S) + self.input_hessian
         slack = np.arange(self.n_moves, self.n_variables)
         P[slack, slack] = self._slack_weight * self._reach**2
         return P

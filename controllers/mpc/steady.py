@@ -50,6 +50,19 @@ class SteadyTarget:
             self._adjoint = np.linalg.solve((np.eye(len(block)) - block).T, read[:, self._free].T).T
         self._T = limits.basis * limits.amplitude.mean()
 
+    @property
+    def weight(self) -> Array:
+        """Weights (p,) of squared output errors, in output units."""
+        return self._root**2
+
+    def affine(self) -> tuple[Array, Array, Array]:
+        """Outputs at rest of a model linear in u: those (p,) at no moves, their gain (p, r) and push (p, M) by w."""
+        found = self._at(self._limits.offset, np.zeros(self._model.n_lifted))
+        assert found is not None and self._adjoint is not None
+        push = np.zeros((len(self._read), self._model.n_lifted))
+        push[:, self._free] = self._adjoint
+        return found[0], found[1] @ self._T, push
+
     def __call__(self, r: Array, w: Array, missed: Array, u: Array) -> Array | None:
         """The input (m,) for the outputs ``r`` (p,), NaN where free, under the disturbance ``w`` (M,).
 

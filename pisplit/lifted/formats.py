@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.files import write_text
+from pisplit.lifted.c_code import array, casadi_code, checked_name, listed, renamed, wrapper
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.modes import refuse_bilinear, refuse_relifted
 
@@ -106,24 +106,16 @@ def to_c_header(model: LiftedModel, path: str | os.PathLike[str], name: str = "m
     Raises ValueError for a re-lifted model, if the name is no C identifier, the folder is missing, or a function cannot
     be written in C.
     """
-    if not re.fullmatch(r"[A-Za-z]\w*", name):
-        raise ValueError(f"name = {name!r}; expected a C identifier")
+    checked_name(name)
     refuse_relifted(model, "C form")
     write_text(path, _header(model, name))
 
 
 def _header(model: LiftedModel, name: str) -> str:
     upper = name.upper()
-    functions = {"lift": _renamed(model.lift_function, f"{name}_casadi_lift")}
-    functions["features"] = _renamed(model.input_function, f"{name}_casadi_features")
-    generator = ca.CodeGenerator(name, {"with_header": False, "casadi_real": "double"})
-    try:
-        for function in functions.values():
-            generator.add(function)
-        code = str(generator.dump())
-    except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise ValueError(f"a function of the model cannot be written in C: {reason}") from None
+    functions = {"lift": renamed(model.lift_function, f"{name}_casadi_lift")}
+    functions["features"] = renamed(model.input_function, f"{name}_casadi_features")
+    code = casadi_code(name, functions.values())
     sizes = {
         "STATES": model.n_states,
         "INPUTS": model.n_inputs,
@@ -133,50 +125,21 @@ def _header(model: LiftedModel, name: str) -> str:
     }
     lines = [
         f"/* z+ = A z + B phi(u) + c, x = C z + d, every {model.dt:g} s. Include it in one source file.",
-        f"   x: {_listed(model.state_names, model.units)}",
-        f"   u: {_listed(model.input_names, model.input_units or ())} */",
+        f"   x: {listed(model.state_names, model.units)}",
+        f"   u: {listed(model.input_names, model.input_units or ())} */",
         f"#ifndef {upper}_H",
         f"#define {upper}_H",
         *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
         f"#define {upper}_DT {model.dt!r}",
         code,
-        *(_array(f"{name}_{letter}", getattr(model, letter)) for letter in ("A", "B", "c", "C", "d")),
-        *([] if model.N is None else [_array(f"{name}_N", model.N)]),
-        _wrapper(name, "lift", functions["lift"], ("x_history", "u_history"), "z"),
-        _wrapper(name, "features", functions["features"], ("u",), "phi"),
+        *(array(f"{name}_{letter}", getattr(model, letter)) for letter in ("A", "B", "c", "C", "d")),
+        *([] if model.N is None else [array(f"{name}_N", model.N)]),
+        wrapper(name, "lift", functions["lift"], ("x_history", "u_history"), "z"),
+        wrapper(name, "features", functions["features"], ("u",), "phi"),
         (_STEP % ("" if model.N is None else _BILINEAR)).replace("NAME", upper).replace("name", name),
         "#endif",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _listed(names: Sequence[str], units: Sequence[str]) -> str:
-    """Names and units for a comment in C, which they must not end."""
-    text = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True))
-    return re.sub(r"[^\x20-\x7e]", "?", text).replace("*/", "* /").replace("/*", "/ *") or "none"
-
-
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    symbols = [ca.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
-    return ca.Function(name, symbols, [ca.densify(function(*symbols))])
-
-
-def _array(name: str, values: Array) -> str:
-    numbers = [f"{float(value)!r}" for value in values.reshape(-1)] or ["0.0"]
-    rows = [", ".join(numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
-    return f"static const double {name}[{len(numbers)}] = {{\n" + ",\n".join(rows) + "};"
-
-
-def _wrapper(name: str, what: str, function: ca.Function, arguments: tuple[str, ...], result: str) -> str:
-    given = ", ".join(f"const double *{argument}" for argument in arguments)
-    assign = " ".join(f"arg[{i}] = {argument};" for i, argument in enumerate(arguments))
-    return (
-        f"static void {name}_{what}({given}, double *{result}) {{\n"
-        f"  const double *arg[{max(function.sz_arg(), 1)}]; double *res[{max(function.sz_res(), 1)}];\n"
-        f"  casadi_int iw[{max(function.sz_iw(), 1)}]; double w[{max(function.sz_w(), 1)}];\n"
-        f"  {assign} res[0] = {result};\n"
-        f"  {function.name()}(arg, res, iw, w, 0);\n}}"
-    )
 
 
 _STEP = """static void name_step(const double *z, const double *u, double *z_next) {
