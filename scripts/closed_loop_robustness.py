@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from common.drawing import save_figure
 from common.report import Report, parser, run
-from pisplit import Actuator, Episodes, PIEDMDc
+from pisplit import Actuator, ArmIdentifier, Episodes, PIEDMDc
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, plants, references
 from pisplit.models import rod
 from pisplit.models.arm import (
@@ -48,7 +48,7 @@ class Case:
     """A loop: what stands around the ``arm``, what is ``measured`` ("all", "shape", "tip", or "" without a filter).
 
     ``target`` is the largest RMS error in mm that is asked for. The delays, in steps, are those that the controller is
-    told.
+    told. ``again``: the arm is identified again from the loop, and the figure is that of a second loop.
     """
 
     name: str
@@ -58,6 +58,7 @@ class Case:
     target: float | None = None
     command_delay: float = 0.0
     measurement_delay: float = 0.0
+    again: bool = False
 
 
 def noisy(plant: Any, seed: int) -> plants.NoisyMeasurements:
@@ -73,7 +74,7 @@ def late(steps: float) -> Wrap:
 def cases(arm: TendonArm, seed: int) -> list[Case]:
     """What the loops go through."""
     scene, length = arm.scene, arm.scene.rod.length
-    tip = list(scene.field_map(6).outputs["tip"])
+    tip, payload = list(scene.field_map(6).outputs["tip"]), rod.PointMass(s=length, mass=0.02)
 
     def with_term(term: Any) -> TendonArm:
         return replace(arm, scene=scene + term)
@@ -110,7 +111,8 @@ def cases(arm: TendonArm, seed: int) -> list[Case]:
         Case("noise, 5 % of the samples missing", arm, "all", lambda p: plants.LostMeasurements(noisy(p, seed), 0.05)),
         Case("noise, 30 % of the samples missing", arm, "all", lambda p: plants.LostMeasurements(noisy(p, seed), 0.3)),
         Case("noise, 1 % outliers of 0.5 m", arm, "tip", outliers),
-        Case("20 g at the tip, not told", with_term(rod.PointMass(s=length, mass=0.02)), "all", target=20.0),
+        Case("20 g at the tip, not told", with_term(payload), "all", target=20.0),
+        Case("20 g at the tip, identified again", with_term(payload), "", target=0.1, again=True),
         Case("play of 0.5 mm", arm, "all", lambda p: plants.ActuatedPlant(p, Actuator(play=5e-4)), 0.1),
         Case("servo lag of 30 ms", arm, "all", lambda p: plants.ActuatedPlant(p, Actuator(lag=0.03))),
         Case("force of 0.02 N at the tip", with_term(rod.TipWrench(force=(0.0, 0.02, 0.0))), "all", target=0.1),
@@ -155,7 +157,11 @@ def main() -> None:
         delays = {"command_delay": case.command_delay, "measurement_delay": case.measurement_delay}
         mpc = MPC(model, HORIZON, -0.014, 0.016, 0.002, estimator_gain=gain, observer=observer, **delays)
         plant = case.wrap(plants.WrappedPlant(case.arm.scene.fast_stepper(dt=DT)))
-        log = ClosedLoop(plant, mpc).run(reference, steps, u0=arm.rest_inputs, progress=False)
+        loop = ClosedLoop(plant, mpc)
+        log = loop.run(reference, steps, u0=arm.rest_inputs, progress=False)
+        if case.again:
+            print(loop.reidentify(ArmIdentifier(arm)))
+            log = loop.run(reference, steps, u0=arm.rest_inputs, progress=False)
         true = plant.true_states[:, list(log.tracked)]
         missed = np.where(np.isnan(log.reference), 0.0, true - log.reference)
         error = 1e3 * np.linalg.norm(missed, axis=1)

@@ -75,7 +75,7 @@ def test_a_payload_is_weighed_and_told_from_other_causes(arm: TendonArm, loaded:
         assert (dt, stations) == (DT, S) and found.scene.n_inputs == 3
         data = Episodes([loaded.x], [loaded.u], dt)
         theta = Dictionary(ob.Constant(), ob.Identity(), n_states=data.n_states, n_inputs=3)
-        return LinearEDMDc(theta, 1e-6).fit(data), data
+        return LinearEDMDc(theta, 1e-6).fit(data)
 
     identify = ArmIdentifier(arm, free=("load",), windows=3, steps=3, rebuild=rebuild)
     new = identify(loaded)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, ReliftedEDMDc
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, PlantStep, plants, references
@@ -203,11 +203,7 @@ def test_a_copy_goes_on_to_the_last_bit() -> None:
 
 def test_filters_that_cannot_be_are_refused_in_one_line() -> None:
     model, Q = fitted(), np.diag(PROCESS**2)
-    runs = [recorded(0.0, 40 + k) for k in range(4)]
-    data = Episodes([r.xs[0] for r in runs], [r.us[0] for r in runs], 0.1)
-    relifted = ReliftedEDMDc(components=(3,), leading=(2,), degrees=(2,)).fit(data).lifted
     for make, message in (
-        (lambda: KalmanFilter(relifted, np.eye(relifted.n_lifted), 0.1), "this one is re-lifted"),
         (lambda: KalmanFilter(model, np.eye(4), 0.1), "process has shape"),
         (lambda: KalmanFilter(model, Q, {"mm": 0.1}), "no state of the model has the unit 'mm'"),
         (lambda: KalmanFilter(model, Q, -0.1), "std = -0.1"),

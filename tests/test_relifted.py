@@ -127,6 +127,8 @@ def test_bilinear_products_may_be_written_as_a_relifted_term() -> None:
     np.testing.assert_allclose(first.rollout(z, u).z, second.rollout(z, u).z, atol=1e-12)
     for mine, theirs in zip(first.jacobian(z[0], u[0, 0]), second.jacobian(z[0], u[0, 0]), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
+    filters = [KalmanFilter(model, 0.01 * np.eye(4), 0.1, [0, 2]) for model in (first, second)]
+    np.testing.assert_allclose(filters[0].gain, filters[1].gain, atol=1e-12)
     w, T = 0.01 * rng.normal(size=4), rng.normal(size=(2, 2))
     plans = [AlongPlan(model, np.eye(4)[:2], np.ones(2), T)(z[0], w, u[0]) for model in (first, second)]
     for mine, theirs in zip(*plans, strict=True):

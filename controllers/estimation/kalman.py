@@ -24,11 +24,11 @@ class KalmanFilter:
 
     Of the prediction z it makes z + L (y - C z - d), y being those states that ``measured`` names. An entry that was
     not measured, or that lies more than ``gate`` of its standard deviations away, changes nothing (its innovation is
-    set to zero), so that one gain serves all steps. Predictions of a bilinear model follow its inputs; its gain is that
-    of the transition at the mean input of the training data.
+    set to zero), so that one gain serves all steps. Predictions of a bilinear or re-lifted model follow its own steps;
+    its gain is that of the transition at the mean input of the training data, and at the mean state of a re-lifted one.
 
     Args:
-        model: the model, linear in z or bilinear; or an estimator that was fitted.
+        model: the model, linear in z, bilinear or re-lifted; or an estimator that was fitted.
         process: covariance (M, M) of what the model misses in a step of the lifted state.
         std: noise of the measured states, a number, one each (p,), or {unit: standard deviation}.
         measured: the states that are measured, an output of the model, or names or positions; all if not given.
@@ -37,7 +37,7 @@ class KalmanFilter:
     Attributes:
         measured: positions (p,) of the measured states; gain: L (M, p); innovation_std: (p,) expected of innovations.
 
-    Raises ValueError for other shapes, negative noise, and re-lifted models.
+    Raises ValueError for other shapes and negative noise.
 
     Source: Anderson and Moore, *Optimal Filtering* (1979), chapter 4; the doubling iteration for the Riccati equation
     is in section 6.7.
@@ -52,8 +52,6 @@ class KalmanFilter:
         gate: float | None = 5.0,
     ) -> None:
         self.model = found = model_of(model, "model")
-        if found.relifted is not None:
-            raise ValueError("a filter with one gain is for models linear in z or bilinear; this one is re-lifted")
         self.measured: NDArray[np.int64] = state_indices(found, measured)
         self.gate = None if gate is None else positive(gate, "gate")
         M = found.n_lifted
@@ -61,7 +59,7 @@ class KalmanFilter:
         self._C, self._d = found.C[self.measured], found.d[self.measured]
         self._std = std
         noise: Array = np.maximum(_noise(found, self.measured, std), EXACT * found.state_range[self.measured])
-        P = predicted_covariance(found.transition(found.input_offset), self._C, 0.5 * (Q + Q.T), noise**2)
+        P = predicted_covariance(_transition(found), self._C, 0.5 * (Q + Q.T), noise**2)
         S = self._C @ P @ self._C.T + np.diag(noise**2)
         self.gain: Array = np.asarray(np.linalg.solve(S, self._C @ P).T, dtype=np.float64)
         self.innovation_std: Array = np.sqrt(np.diag(S))
@@ -141,6 +139,15 @@ def predicted_covariance(A: Array, C: Array, Q: Array, r: Array) -> Array:
         "the covariance of predictions grows without bound: the model has a mode that does not decay and that the "
         "measured states do not show; measure more, or bound the model with max_radius"
     )
+
+
+def _transition(model: LiftedModel) -> Array:
+    """A step's derivative (M, M) in the lifted state, in the middle of the training data."""
+    if model.relifted is None:
+        return model.transition(model.input_offset)
+    D, u = model.n_delays, model.input_offset
+    z = model.lift(np.tile(model.d, (D + 1, 1)), np.tile(u, (D, 1)))  # x is d at z = 0, the mean
+    return model.jacobian(z, u)[0]
 
 
 def _noise(model: LiftedModel, measured: NDArray[np.int64], std: ArrayLike | Mapping[str, float]) -> Array:

@@ -238,7 +238,7 @@ class LiftedStateEstimation:
             self.readout = np.zeros(self.model.n_states)
             return observer.corrected(predicted, np.where(doubted, np.nan, innovation)), int(doubted.sum())
         x = self._bridged(measured)
-        if x is None and observer is not None:
+        if x is None and observer is not None and self.model.relifted is None:
             z = self.model.fixed_point(history.u_previous)
             self.readout = np.zeros(self.model.n_states)
             return observer.corrected(z, observer.innovation(z, measured)), 0

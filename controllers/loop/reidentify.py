@@ -41,7 +41,10 @@ class Changeable(Protocol):
     """A controller that can be had for another model."""
 
     def with_model(self, model: LiftedModel | Fitted, log: LoopLog, episodes: Episodes | None) -> Controller:
-        """The same controller on another ``model``, in the midst of the run of ``log``; see :meth:`MPC.with_model`."""
+        """The same controller on another ``model``, in the midst of the run of ``log``.
+
+        ``episodes``: recordings of what the model describes, for an observer; see :meth:`MPC.with_model`.
+        """
 
 
 def changed(controller: Controller, new: NewModel, log: LoopLog) -> Controller:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from tqdm import tqdm
 from pisplit.checks import Array
 from pisplit.controllers.loop.tracking import tracked_states
 from pisplit.controllers.mpc.limits import input_limits
-from pisplit.controllers.mpc.mpc import MPC
+from pisplit.controllers.mpc.mpc import GAIN, MPC
 from pisplit.controllers.tuning.innovations import Innovations, Misses, innovations
 from pisplit.controllers.tuning.spectrum import LONGEST, SHORTEST, horizon_of, impulses, slow_modes, steps_of
 from pisplit.controllers.tuning.trials import InLiftedState, PushedModel, Trials, references_within
@@ -36,15 +36,22 @@ POOR = 0.2
 
 @dataclass(frozen=True)
 class Trial:
-    """``error`` of the loops, in parts of the circle's radius, with ``horizon``, ``rate_weight`` and ``gain``."""
+    """``error`` of the loops, in parts of the circle's radius, with ``horizon``, ``rate_weight`` and ``gain``.
+
+    ``defaults``: those of :class:`MPC`, with its own scale of the outputs too.
+    """
 
     horizon: int
     rate_weight: float
     gain: float
     error: float
+    defaults: bool = False
 
     def __str__(self) -> str:
-        return f"horizon {self.horizon}, rate weight {self.rate_weight:.3g}, gain {self.gain:.3g}: {self.error:.3g}"
+        named = "defaults: " if self.defaults else ""
+        return (
+            f"{named}horizon {self.horizon}, rate weight {self.rate_weight:.3g}, gain {self.gain:.3g}: {self.error:.3g}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +96,7 @@ def tune(
     and horizon are chosen one after the other by closed loops: on the model, pushed at every step by what it
     missed in the recordings, in proportion to its motion, along a circle and a jump of half the box. Everything is
     relative to box, range of the outputs in the data and modes of the model, so that units and sizes do not matter.
+    The defaults of :class:`MPC` are tried, too, and taken where nothing is better than them by more than a third.
 
     model               the model, linear, bilinear or re-lifted, or a fitted estimator
     episodes            recordings with its states and inputs, best those that it did not learn from
@@ -121,6 +129,7 @@ def tune(
     fixed |= {k: v for k, v in settings.items() if k not in ("horizon", "rate_weight", "estimator_gain")}
     search = _Search(found, fixed, trials, settings, progress)
     horizon, gain = horizon_of(modes), min(max(first.gain, GAINS[0]), GAINS[1])
+    search.defaults(20, 0.02, GAIN / (1.0 + delay))
     search.begin(horizon, FIRST_WEIGHT, gain)
     gains = sorted({0.01, 0.03, 0.1, 0.3, gain})
     search.scan("gain", gains)
@@ -129,19 +138,20 @@ def tune(
     search.scan("horizon", [horizon, min(3 * horizon // 2, LONGEST), max(2 * horizon // 3, SHORTEST)])
     search.scan("rate_weight", [search.best.rate_weight * 10.0**k for k in (0.5, 0.0, -0.5)])
     search.close()
-    best = search.best
+    best = search.chosen()
     if not np.isfinite(best.error):
         raise ValueError(
             "no loop holds on the model itself: widen the limits, track other outputs, or give more recordings"
         )
-    made = tuple(sorted(search.made.values(), key=lambda t: t.error))
+    made = tuple(sorted([*search.made.values(), search.by_default], key=lambda t: t.error))
     seconds = time.perf_counter() - begin
     slow = steps_of(modes)
     notes = [
         f"slowest mode that matters: {slow:.3g} steps ({slow * found.dt:.3g} s)",
         f"innovations smallest at gain {first.gain:.2g}, correlated by {first.correlation:.2f} ({first.without:.2f} "
         "without an estimate)",
-        f"chosen of {len(made)} trials in {seconds:.1f} s: {best} of the circle's radius",
+        f"chosen of {len(made)} trials in {seconds:.1f} s: {best} of the circle's radius (the defaults: "
+        f"{search.by_default.error:.3g}, the least: {made[0].error:.3g})",
     ]
     if best.error > POOR:
         notes.append("expect no better of the system; more or other recordings may help")
@@ -157,9 +167,25 @@ class _Search:
         self._model, self._fixed, self._trials = model, fixed, trials
         names = (("horizon", "horizon"), ("rate_weight", "rate_weight"), ("gain", "estimator_gain"))
         self._given = {mine: given[theirs] for mine, theirs in names if given.get(theirs) is not None}
+        self._given_scale = given.get("output_scale")
         self._bar = tqdm(disable=not progress, desc="closed loops on the model", unit="trial")
         self.made: dict[tuple[int, float, float], Trial] = {}
+        self.by_default = Trial(0, 0.0, 0.0, np.inf, True)
         self.best = Trial(0, 0.0, 0.0, np.inf)
+
+    def defaults(self, horizon: int, rate_weight: float, gain: float) -> None:
+        """Try the defaults of a controller, as far as nothing is given."""
+        numbers = {"horizon": horizon, "rate_weight": rate_weight, "gain": gain} | self._given
+        trial = Trial(**numbers, error=np.inf, defaults=True)
+        self.by_default = replace(trial, error=self._trials.error(self._trial_controller(trial)))
+        self._bar.update()
+
+    def chosen(self) -> Trial:
+        """Of all trials: the defaults where they are within a third of the least error, where the scans ended if that
+        is, and the least otherwise: what every scan gives away for caution must not add up."""
+        made = [self.by_default, *self.made.values()]
+        least = min(made, key=lambda trial: trial.error)
+        return next(t for t in (self.by_default, self.best, least) if t.error <= least.error / BETTER)
 
     def begin(self, horizon: int, rate_weight: float, gain: float) -> None:
         start = {"horizon": horizon, "rate_weight": rate_weight, "gain": gain} | self._given
@@ -176,7 +202,7 @@ class _Search:
         self.best = next(trial for trial in trials if trial.error <= least / BETTER)
 
     def controller(self, trial: Trial) -> MPC:
-        return MPC(self._model, trial.horizon, **self._numbers(trial), **self._fixed)
+        return MPC(self._model, trial.horizon, **self._fixed | self._numbers(trial))
 
     def _trial_controller(self, trial: Trial) -> MPC:
         """The same in the trials, where a delay of measurements is one of commands and nothing is unknown."""
@@ -184,9 +210,9 @@ class _Search:
         fixed = self._fixed | known | self._numbers(trial)
         return InLiftedState(self._trials.moving, self._model, trial.horizon, **fixed)
 
-    @staticmethod
-    def _numbers(trial: Trial) -> dict[str, Any]:
-        return {"rate_weight": trial.rate_weight, "estimator_gain": trial.gain}
+    def _numbers(self, trial: Trial) -> dict[str, Any]:
+        scale = {"output_scale": self._given_scale} if trial.defaults else {}
+        return {"rate_weight": trial.rate_weight, "estimator_gain": trial.gain, **scale}
 
     def close(self) -> None:
         self._bar.close()

@@ -5,7 +5,8 @@ It stands above all rooms and is the only place in ``pisplit/`` that names model
 
 from pisplit.front.control import Control
 from pisplit.front.identification import Identified, identify
-from pisplit.front.reidentification import ArmIdentifier, Causes, bilinear_twin
+from pisplit.front.physical import physical_model
+from pisplit.front.reidentification import ArmIdentifier, Causes
 from pisplit.front.report import Report
 
-__all__ = ["ArmIdentifier", "Causes", "Control", "Identified", "Report", "bilinear_twin", "identify"]
+__all__ = ["ArmIdentifier", "Causes", "Control", "Identified", "Report", "identify", "physical_model"]

@@ -10,12 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from pisplit.checks import Array, check_same_step, count, one_of
+from pisplit.checks import count, one_of
 from pisplit.controllers.loop.log import LoopLog
 from pisplit.controllers.loop.reidentify import NewModel
 from pisplit.data.actuator import Actuator
 from pisplit.data.episodes import Episodes
-from pisplit.models.arm import TendonArm, random_displacements, twin_alone, twin_dictionary
+from pisplit.evaluation.matching import Fitted
+from pisplit.front.physical import physical_model
+from pisplit.lifted.model import LiftedModel
+from pisplit.models.arm import TendonArm
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.calibration import (
     Calibration,
@@ -29,8 +32,6 @@ from pisplit.models.rod.analysis.fields import N_FIELDS
 WINDOWS, STEPS = 16, 6
 #: Misses in standard deviations of the sensors from which on what was freed does not explain the log.
 UNEXPLAINED = 3.0
-#: Recordings of the simulated arm that a new model learns from, their steps, principal components, ridge.
-TWIN, TWIN_STEPS, COMPONENTS, RIDGE, SEED = 16, 200, 4, 1e-5, 7919
 #: Mass at the tip in kg with which a fit to shapes at rest begins.
 FIRST_MASS = 5e-3
 #: What a change may be, by the parameters that it frees.
@@ -38,7 +39,7 @@ CAUSES = {"payload": "load", "stiffness": "bending", "damping": "damping", "play
 #: Two causes are told apart where one leaves misses so many times as large as the other.
 APART = 1.5
 
-Rebuild = Callable[[TendonArm, float, int], tuple[Any, Episodes]]
+Rebuild = Callable[[TendonArm, float, int], LiftedModel | Fitted]
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class ArmIdentifier:
         position_error, rotation_error, rate_error: standard deviations of positions in m, of the entries of frames, and
             of curvatures and velocities in parts of their spread.
         windows, steps: number of windows of the log, and their steps.
-        rebuild: (arm, dt, stations) -> model and recordings of it; :func:`bilinear_twin` if not given.
+        rebuild: (arm, dt, stations) -> model; :func:`physical_model` if not given.
 
     Raises ValueError in use where the log holds too little, another arm's states, or does not identify what is free;
     :class:`CalibrationError` where the fit fails.
@@ -80,7 +81,7 @@ class ArmIdentifier:
         stations = log.x.shape[1] // N_FIELDS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            model, episodes = (self.rebuild or bilinear_twin)(found.arm, log.dt, stations)
+            model = (self.rebuild or physical_model)(found.arm, log.dt, stations)
         rebuilt = time.perf_counter() - start - fitted
         told = [" ".join(str(estimate).split()) for estimate in found.estimates]
         what = "windows" if self.shapes is None else "shapes at rest"
@@ -89,7 +90,7 @@ class ArmIdentifier:
             f"deviations; the model made anew in {rebuilt:.1f} s",
             *told,
         )
-        return NewModel(model, notes, episodes, found)
+        return NewModel(model, notes, whole_stretch(log), found)
 
     def calibrated(self, log: LoopLog) -> Calibration:
         """What the end of a ``log``, or the shapes, say of the arm; raises ValueError where they do not say it."""
@@ -183,12 +184,13 @@ def cut(log: LoopLog, arm: TendonArm, number: int, steps: int, commands: bool = 
     return fields, np.stack([inputs[k : k + size] for k in chosen])
 
 
-def bilinear_twin(arm: TendonArm, dt: float, stations: int) -> tuple[Any, Episodes]:
-    """A bilinear model of the simulated ``arm``, and the recordings that it learned from.
-
-    ``dt``: time step [s]; ``stations``: number of measured points.
-    """
-    twin = arm.record(TWIN, SEED, TWIN_STEPS, dt, stations, workers=1, progress=False)
-    check_same_step(twin.dt, dt, "the recordings have", "the loop")
-    excitation: Array = np.stack([random_displacements(arm, 120, np.random.default_rng(SEED + k)) for k in range(4)])
-    return twin_alone(twin_dictionary(twin, COMPONENTS), RIDGE, twin, excitation).lifted, twin
+def whole_stretch(log: LoopLog) -> Episodes:
+    """The longest stretch of a ``log`` in which everything was measured, as recordings."""
+    gaps = np.flatnonzero(np.isnan(log.x).any(axis=1))
+    ends = np.concatenate([[-1], gaps, [len(log.x)]])
+    k = int(np.argmax(np.diff(ends)))
+    first, last = int(ends[k]) + 1, int(ends[k + 1]) - 1
+    names: dict[str, Any] = {"state_names": log.state_names, "input_names": log.input_names}
+    if any(log.state_units) and any(log.input_units):
+        names |= {"units": log.state_units, "input_units": log.input_units}
+    return Episodes([log.x[first : last + 1]], [log.u[first:last]], log.dt, **names)

@@ -311,7 +311,12 @@ class LiftedModel:
         return finite_array(in_order(u, self.input_names, "inputs"), "u", (self.n_inputs,))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model to an HDF5 file ``path``, whole or not at all."""
+        """Write the model to an HDF5 file ``path``, whole or not at all.
+
+        Raises ValueError for the equations of an arm, which no file holds: keep the arm.
+        """
+        if self.relifted is not None and not isinstance(self.relifted, ReliftedTerm):
+            raise ValueError("the model is the equations of an arm, which no file holds; keep the arm")
         with store.writing(path, KIND) as file:
             for name in _ARRAYS:
                 file[name] = getattr(self, name)
