@@ -29,6 +29,8 @@ def rod_system(scene: rod.Scene, actuation: type = TendonTerm) -> ControlSystem:
     if not any(isinstance(term, actuation) for term in scene.terms):
         kind = "Tendons" if actuation is TendonTerm else actuation.__name__
         raise ValueError(f"the scene has no {kind} that could be the unknown part; give it one")
+    if scene.n_joint:
+        raise ValueError("a control system needs a base that is clamped; this scene has a Base with a hinge or slides")
     passive, n = scene.without(actuation), scene.n_strains
     if passive.branches != scene.branches:
         raise ValueError("Maxwell branches relax by what is known of them: they cannot be the unknown part")

@@ -89,7 +89,7 @@ class StrainCoordinates(Rebuilt):
 def strain_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> StrainCoordinates:
     """Coordinates of a scene from its fields at stations.
 
-    Raises ValueError for free shear or stretch, a base that turns, and for fewer stations than nodes.
+    Raises ValueError for free shear or stretch, a base that turns or slides, and for fewer stations than nodes.
     """
     if any(c >= 3 for c in scene.rod.strain_set.free):
         raise ValueError(
@@ -98,6 +98,8 @@ def strain_coordinates(scene: Scene, stations: int | ArrayLike = 6) -> StrainCoo
     bases = [t for t in scene.terms if isinstance(t, Base)]
     if any(t.inputs or isinstance(t.spin, Input) or any(t.spin) for t in bases):
         raise ValueError("rod coordinates need a base that does not turn; this scene has a Base with spin or inputs")
+    if scene.n_joint:
+        raise ValueError("rod coordinates need a base that is clamped; this scene has a Base with a hinge or slides")
     points = station_points(stations, scene.rod.length)
     if len(points) < scene.nodes:
         raise ValueError(f"{len(points)} stations cannot tell {scene.nodes} nodes apart; give at least {scene.nodes}")

@@ -129,7 +129,7 @@ def stored(scene: Scene) -> ca.Function:
         _check_base(scene)
         xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
         balance = replace(balance, reaction=None)  # what holds the tip has no mass
-        weights, sigma = ca.DM(_weights(scene)), ca.SX.sym("sigma", scene.layout.n_overstress)
+        weights, sigma = ca.DM(scene.weights), ca.SX.sym("sigma", scene.layout.n_overstress)
         momentum = -weights * ca.jtimes(balance.residual, xi_tt, xi_t)
         rest = _residual(scene, (), xi, ca.SX(scene.n_strains, 1), u)
         elastic = -0.5 * ca.dot(xi - ca.DM(scene.rest_coordinates), weights * rest)
@@ -155,7 +155,7 @@ def powers(scene: Scene) -> ca.Function:
         u = acting[layout.n_overstress :]
         lost = dict(zip(scene.branches, _by_branch(scene, acting[: layout.n_overstress]), strict=True))
         gravity = tuple(t for t in scene.terms if isinstance(t, Gravity))
-        rates = ca.DM(_weights(scene)) * xi_t
+        rates = ca.DM(scene.weights) * xi_t
         work = []
         for term in scene.terms:
             if isinstance(term, Maxwell):
@@ -204,13 +204,9 @@ def _potential(scene: Scene, xi: ca.SX) -> ca.SX:
 
 
 def _residual(scene: Scene, terms: tuple[Term, ...], xi: ca.SX, xi_t: ca.SX, u: ca.SX) -> ca.SX:
-    """Residual of the rod with some of the terms, without inertia."""
-    return replace(scene.balance(xi, xi_t, None, u), terms=terms, reaction=None).residual
-
-
-def _weights(scene: Scene) -> Array:
-    """Quadrature weight of every coordinate (n_strains,)."""
-    return np.repeat(scene.rule.weights, scene.rod.strain_set.n_fields)
+    """Residual of the rod on its base with some of the terms, without inertia."""
+    base = tuple(t for t in scene.terms if isinstance(t, Base) and t not in terms)
+    return replace(scene.balance(xi, xi_t, None, u), terms=(*base, *terms), reaction=None).residual
 
 
 def _by_branch(scene: Scene, sigma: ca.SX) -> list[ca.SX]:
@@ -222,7 +218,7 @@ def _by_branch(scene: Scene, sigma: ca.SX) -> list[ca.SX]:
 def _square(scene: Scene, sigma: ca.SX) -> ca.SX:
     """int K sigma^2 ds of the overstress (n,) of a branch in J."""
     stiffness = scene.rod.profile(scene.rule.nodes).stiffness[list(scene.rod.strain_set.free)].T.ravel()
-    return ca.dot(ca.DM(_weights(scene) * stiffness) * sigma, sigma)
+    return ca.dot(ca.DM(scene.weights[: len(stiffness)] * stiffness) * sigma[: len(stiffness)], sigma[: len(stiffness)])
 
 
 def _check_base(scene: Scene) -> None:

@@ -157,9 +157,8 @@ class Simulator(Propagation):
     def _nominal(self) -> Array:
         """Typical strains, rates, overstress and accelerations (3 n_strains + b n_strains,)."""
         scene = self.equations
-        rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
         hidden = np.tile(scene.nominal_strains, len(scene.branches))
-        strains, moving, bends = (scene.nominal_strains * rates**k for k in range(3))
+        strains, moving, bends = (scene.nominal_strains * scene.nominal_rates**k for k in range(3))
         return np.concatenate([strains, moving, hidden, bends])
 
     def _fading_time(self, rates: Array) -> float:

@@ -29,8 +29,7 @@ def is_new(plant: Propagation, found: Trajectory) -> bool:
     """Whether no motion like ``found`` of ``plant`` was checked before, on its scene with its setting."""
     scene = plant.equations
     known: dict[tuple[object, ...], Checked] = scene.__dict__.setdefault("_checked_motions", {})
-    rates = np.tile([scene.rod.natural_rates[c] for c in scene.rod.strain_set.free], scene.nodes)
-    nominal = np.concatenate([scene.nominal_strains, scene.nominal_strains * rates])
+    nominal = np.concatenate([scene.nominal_strains, scene.nominal_strains * scene.nominal_rates])
     return known.setdefault(plant.setting, Checked()).is_new(Extent.of(found, nominal))
 
 

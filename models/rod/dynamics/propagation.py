@@ -21,10 +21,14 @@ from pisplit.models.rod.dynamics.projection import Projection
 from pisplit.models.rod.dynamics.space_error import SpaceError
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 from pisplit.models.rod.sharing import Rebuilt, in_turn
+from pisplit.models.rod.terms.base import joint_of
 
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.statics.resolution import Resolution
+
+#: Rotation in rad of a ball joint at which motions end: its rotation vector is singular at 2 pi.
+MOST_TURN = 6.0
 
 
 @dataclass(frozen=True)
@@ -329,7 +333,7 @@ class Propagation(Rebuilt, ABC):
         They end where it cannot be put there; why is the second value.
         """
         if self.projection is None:
-            return rows, ""
+            return self._before_a_turn(rows)
         size, placed = self.scene.layout.n_moving, rows.copy()
         for k, row in enumerate(rows):
             at = f"the state after step {k}"
@@ -338,6 +342,20 @@ class Propagation(Rebuilt, ABC):
             except ValueError as error:
                 return placed[:k], f"{self.scheme} lost the tip: {error}"
         return placed, ""
+
+    def _before_a_turn(self, rows: Array) -> tuple[Array, str]:
+        """``rows`` up to where a ball joint at the base has almost made a turn, if there is one, and why they end."""
+        base = joint_of(self.scene.terms)
+        if base is None or base.hinge != "ball":
+            return rows, ""
+        turns = rows[:, self.scene.layout.joint][:, -3:]
+        far = np.linalg.norm(turns, axis=1) > MOST_TURN
+        if not far.any():
+            return rows, ""
+        k = int(far.argmax())
+        return rows[
+            :k
+        ], f"the ball joint at the base makes a turn in step {k}, which its rotation vector cannot go through"
 
     def _present(self) -> Array:
         if self._state is None:

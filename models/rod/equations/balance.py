@@ -7,10 +7,10 @@ from functools import cached_property
 
 import casadi as ca
 
-from pisplit.models.rod.kinematics.gauss import Rule
+from pisplit.models.rod.kinematics.gauss import CompositeRule, Rule
 from pisplit.models.rod.kinematics.kinematics import BaseState, Motion, columnwise_cross
 from pisplit.models.rod.section.body import Rod
-from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.gravity import Gravity
 from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row
 
@@ -45,9 +45,12 @@ class Balance:
 
         0 = R^T M - K_bt (w - w*) - stress_w,   0 = R^T N - K_se (v - v*) - stress_v
 
+    A base that is free in some directions balances there, with the resultants at s = 0 of all that acts on the rod:
+    0 = slides . N(0), 0 = hinge . M(0).
+
     Attributes:
         rod: the rod; terms: what acts on it; rule: the nodes and how to integrate between them.
-        strains, rates, accelerations: free strains (n,), node by node, and their time derivatives.
+        strains, rates, accelerations: free strains, node by node, and joint coordinates (n,); time derivatives.
         inputs: symbol of each input by name.
         inertia: whether the rod has inertia.
         dead_force: (3, K) in N adds an internal force at the nodes that does not depend on the motion.
@@ -76,8 +79,20 @@ class Balance:
     def base(self) -> BaseState:
         """Motion of the clamp."""
         moving = self.inertia or self.rates.nnz() > 0
-        states = [t.state(self.inputs, moving) for t in self.terms if isinstance(t, Base)]
+        states = [t.state(self.inputs, moving, self._joint(t)) for t in self.terms if isinstance(t, Base)]
         return states[0] if states else BaseState.fixed()
+
+    def _joint(self, base: Base) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Joint coordinates, their rates and accelerations."""
+        first = self.strains.numel() - base.freedom
+        return self.strains[first:], self.rates[first:], self.accelerations[first:]
+
+    @cached_property
+    def base_wrench(self) -> tuple[ca.SX, ca.SX]:
+        """World resultants (3,) at the base, N(0) in N and M(0) in N m, of all that acts on the rod."""
+        density = self.loads.force + self._inertia_density if self.inertia else self.loads.force
+        force = self.loads.tip_force + self.motion.total(density) + self.loads.base_force
+        return force, self.loads.tip_moment + self.motion.total(self._moment_density) + self.loads.base_moment
 
     @cached_property
     def loads(self) -> Loads:
@@ -85,10 +100,35 @@ class Balance:
         loads = Loads.none(self.rule.n_nodes, self.inputs, self.inertia)
         for term in sorted(self.terms, key=lambda t: not isinstance(t, Gravity)):  # what has weight reads the gravity
             loads.add(term, self.motion)
+        if self.inertia and joint_of(self.terms) is not None:
+            self._add_unseen_inertia(loads)
         if self.reaction is not None:
             loads.tip_force += self.reaction[:3]
             loads.tip_moment += self.reaction[3:]
         return loads
+
+    def _add_unseen_inertia(self, loads: Loads) -> None:
+        """Inertia of that motion on a joint which vanishes at all nodes.
+
+        Rotations are polynomials of degree K; with a base that turns that by P_K(s) (Legendre) is one of them, and has
+        no mass by the quadrature of K nodes. It is what the base moves apart from the extrapolated motion of the nodes
+        and has the mass int j P_K^2 ds = j L / (2 K + 1), with the inertia j of torsion (of which bending has half).
+        With shear and stretch the same is true of slides.
+        """
+        base, rule = joint_of(self.terms), self.rule
+        first = rule.elements[0] if isinstance(rule, CompositeRule) else rule
+        row, length = rule.interpolate([0.0]), first.length / (2 * first.n_nodes + 1)
+        shares = ca.DM(-row / rule.weights)
+        if base is not None and base.hinge is not None:
+            apart = self.base.spin_rate - self.motion.integral(self.motion.spin_rate, row)
+            moment = -length * float(self.motion.profile.inertia[2, 0]) * apart
+            loads.base_moment += moment
+            loads.moment += moment @ shares
+        if base is not None and base.slides and any(c >= 3 for c in self.rod.strain_set.free):
+            apart = self.base.acceleration - self.motion.integral(self.motion.acceleration, row)
+            force = -length * float(self.motion.profile.mass[0]) * apart
+            loads.base_force += force
+            loads.force += force @ shares
 
     @cached_property
     def internal_force(self) -> ca.SX:
@@ -145,7 +185,10 @@ class Balance:
             strain = self.motion.w[axis, :] if component < 3 else self.motion.v[axis, :]
             carried = moment[axis, :] if component < 3 else self.elastic_force[axis, :]
             rows.append(carried - stiffness[component, :] * (strain - rest[component, :]))
-        return ca.vec(ca.vertcat(*rows))
+        strains, base = ca.vec(ca.vertcat(*rows)), joint_of(self.terms)
+        if base is None:
+            return strains
+        return ca.vertcat(strains, base.joint_forces(*self.base_wrench, self._joint(base)[0]))
 
     @cached_property
     def strain_v(self) -> ca.SX:

@@ -52,7 +52,8 @@ class Motion:
 
     Attributes:
         rod, rule: the rod and its nodes.
-        strains, rates, accelerations: its coordinates (n_strains,) and their derivatives.
+        strains, rates, accelerations: its coordinates (n_strains,) and their derivatives; those of a joint at the base,
+            behind those of the rod, are not looked at.
         base: motion of the clamp.
     """
 
@@ -70,7 +71,7 @@ class Motion:
 
     def _split(self, values: ca.SX, rest: Array) -> tuple[ca.SX, ca.SX]:
         free, k = self.rod.strain_set, self.rule.n_nodes
-        nodes = ca.horzsplit(ca.reshape(values, free.n_fields, k))
+        nodes = ca.horzsplit(ca.reshape(values[: free.n_fields * k], free.n_fields, k))
         pairs = [free.split(node, column) for node, column in zip(nodes, rest.T.tolist(), strict=True)]
         return ca.horzcat(*[w for w, _ in pairs]), ca.horzcat(*[v for _, v in pairs])
 

@@ -12,7 +12,7 @@ from pisplit.models.rod.equations.balance import Balance, collect_inputs
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.scene.layout import Layout
 from pisplit.models.rod.section.body import Rod
-from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.chambers import Chambers
 from pisplit.models.rod.terms.held import HeldTip, held_tip
 from pisplit.models.rod.terms.loads import Input, NoEffect, Term
@@ -74,6 +74,8 @@ class Contents:
         base = [t for t in self.terms if isinstance(t, Base)]
         if not base or held_tip(self.terms) is None:
             return
+        if base[0].freedom:
+            raise ValueError("a HeldTip needs a base that is clamped; give Base(...) no hinge and no slides")
         if base[0].inputs or base[0].moves:
             raise ValueError("a HeldTip needs a base at rest; give Base(...) a fixed pose and nothing that moves")
         if self.rod.strain_set.planar and any((*base[0].position[1:2], *base[0].rotation)):  # type: ignore[index,misc]
@@ -104,9 +106,10 @@ class Contents:
         ]
         lines += [f"term     {t.describe(r)}" for t in self.terms]
         lines += [f"input    {i.name} ({i.size})" for i in self.inputs]
+        joint = f" ({self.n_joint} of the joint)" if self.n_joint else ""
         hidden = f" + {self.layout.n_overstress} overstresses" if self.branches else ""
         lines.append(
-            f"state    {self.n_states} = 2 x {self.n_strains} strains and rates{hidden} + {self.n_inputs} inputs"
+            f"state    {self.n_states} = 2 x {self.n_strains} strains{joint} and rates{hidden} + {self.n_inputs} inputs"
         )
         lines += [f"note     {note}" for note in self.notes]
         return "\n".join(lines)
@@ -118,8 +121,14 @@ class Contents:
 
     @property
     def n_strains(self) -> int:
-        """Number of generalised coordinates: free strains times nodes."""
-        return self.rod.strain_set.n_fields * self.nodes
+        """Number of generalised coordinates: free strains times nodes, and joint coordinates of the base."""
+        return self.rod.strain_set.n_fields * self.nodes + self.n_joint
+
+    @property
+    def n_joint(self) -> int:
+        """Number of joint coordinates of the base, which stand behind the strains."""
+        base = joint_of(self.terms)
+        return 0 if base is None else base.freedom
 
     @property
     def n_inputs(self) -> int:
@@ -129,7 +138,7 @@ class Contents:
     @cached_property
     def layout(self) -> Layout:
         """Where what stands in a state."""
-        return Layout(self.n_strains, self.n_inputs, len(self.branches))
+        return Layout(self.n_strains, self.n_inputs, len(self.branches), self.n_joint)
 
     @property
     def branches(self) -> tuple[Maxwell, ...]:

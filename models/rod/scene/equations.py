@@ -14,7 +14,7 @@ from pisplit.data.columns import in_order
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.equations.held import held, slopes
 from pisplit.models.rod.scene.contents import Contents
-from pisplit.models.rod.terms.base import Base
+from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
 from pisplit.models.rod.terms.held import HeldTip, held_tip
 from pisplit.models.rod.terms.loads import NoEffect
@@ -34,22 +34,40 @@ class Equations(Contents):
 
     @cached_property
     def nominal_strains(self) -> Array:
-        """Typical size of each coordinate: 1/L for bending and torsion, 1 % for shear and stretch."""
+        """Typical size of each coordinate: 1/L for bending and torsion, 1 % for shear, stretch; of joints 1 rad, L."""
         sizes = [1.0 / self.rod.length if c < 3 else 0.01 for c in self.rod.strain_set.free]
-        return _fixed(np.tile(sizes, self.nodes))
+        return _fixed(np.append(np.tile(sizes, self.nodes), self._joint_sizes(self.rod.length, 1.0)))
+
+    def _joint_sizes(self, slide: float, turn: float) -> list[float]:
+        """One number for every slide of the base, another for every turn."""
+        base = joint_of(self.terms)
+        slides = 0 if base is None else len(base.slides)
+        return [slide] * slides + [turn] * (self.n_joint - slides)
+
+    @cached_property
+    def nominal_rates(self) -> Array:
+        """Typical rate in 1/s at which each coordinate changes."""
+        rates = np.tile([self.rod.natural_rates[c] for c in self.rod.strain_set.free], self.nodes)
+        return _fixed(np.append(rates, [self.rod.bending_rate] * self.n_joint))
+
+    @cached_property
+    def weights(self) -> Array:
+        """Quadrature weight in m of every coordinate, 1 for joints: residual times rate times weight is power."""
+        return _fixed(np.append(np.repeat(self.rule.weights, self.rod.strain_set.n_fields), np.ones(self.n_joint)))
 
     @cached_property
     def rest_coordinates(self) -> Array:
-        """Free strains of the unloaded rod (n_strains,)."""
+        """Free strains of the unloaded rod, and joint coordinates of zero (n_strains,)."""
         rest = self.rod.profile(self.rule.nodes).rest
-        return _fixed(rest[list(self.rod.strain_set.free)].T.ravel())
+        return _fixed(np.append(rest[list(self.rod.strain_set.free)].T.ravel(), np.zeros(self.n_joint)))
 
     @cached_property
     def nominal_residual(self) -> Array:
         """Typical size of each residual row: EI/L for moments, EI/L^2 for forces."""
         moment = min(self.rod.stiffness[:2]) / self.rod.length
         sizes = [moment if c < 3 else moment / self.rod.length for c in self.rod.strain_set.free]
-        return _fixed(np.tile(sizes, self.nodes))
+        joint = self._joint_sizes(moment / self.rod.length, moment)
+        return _fixed(np.append(np.tile(sizes, self.nodes), joint))
 
     @property
     def damped(self) -> bool:

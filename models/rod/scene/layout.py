@@ -10,7 +10,7 @@ class Parts(NamedTuple):
     """A state by its parts.
 
     Attributes:
-        strains: free strains xi (..., n), node by node.
+        strains: free strains xi (..., n), node by node, and joint coordinates behind them.
         rates: xi_t (..., n) per s.
         overstress: sigma (..., b n) of b Maxwell branches, branch by branch, each as the strains.
         inputs: u (..., m) as they act at that moment.
@@ -27,14 +27,16 @@ class Layout:
     """Order of a state [xi, xi_t, sigma, u]; scenes without Maxwell branches have no sigma.
 
     Attributes:
-        n_strains: number n of free strains at all nodes.
+        n_strains: number n of free strains at all nodes and of joint coordinates.
         n_inputs: number m of input entries.
         n_branches: number b of Maxwell branches.
+        n_joint: number of joint coordinates of the base.
     """
 
     n_strains: int
     n_inputs: int
     n_branches: int = 0
+    n_joint: int = 0
 
     @property
     def n_overstress(self) -> int:
@@ -65,6 +67,16 @@ class Layout:
     def rates(self) -> slice:
         """Of xi_t."""
         return slice(self.n_strains, 2 * self.n_strains)
+
+    @property
+    def joint(self) -> slice:
+        """Of the joint coordinates, in xi."""
+        return slice(self.n_strains - self.n_joint, self.n_strains)
+
+    @property
+    def joint_rates(self) -> slice:
+        """Of their rates, in xi_t."""
+        return slice(2 * self.n_strains - self.n_joint, 2 * self.n_strains)
 
     @property
     def overstress(self) -> slice:

@@ -238,6 +238,15 @@ class Scene(Equations):
 
         return reactions(self, x)
 
+    def base_reactions(self, x: ArrayLike) -> Array:
+        """World force in N and moment in N m (..., 6) at the base of states ``x`` (..., n_states).
+
+        See ``base_reactions``.
+        """
+        from pisplit.models.rod.analysis.reactions import base_reactions
+
+        return base_reactions(self, x)
+
     def inverse(
         self, tip: ArrayLike, limits: ArrayLike | None = None, start: ArrayLike | None = None
     ) -> InverseSolution:

@@ -125,6 +125,8 @@ class Resolution(Rebuilt):
         An equilibrium so goes to the one there; what is let go is pulled back by what pulled it on its own grid.
         """
         strains, rates, overstress, u = self.scene.layout.split(state)
+        if self.scene.n_joint:  # its balance at rest has no slopes where the joint is free
+            return np.concatenate([self.interpolated(part) for part in (strains, rates, overstress)] + [u])
         xi, rates, overstress = (self.interpolated(part) for part in (strains, rates, overstress))
         force = self.interpolated(np.asarray(self._balance(strains, u)).ravel())
         root = self._root_near(xi, u, 0.0 if np.abs(force).max() < BALANCED else force)
@@ -132,10 +134,14 @@ class Resolution(Rebuilt):
 
     def interpolated(self, values: Array) -> Array:
         """Strains, their rates or overstress ``values`` (..., b n) at the nodes of the finer grid."""
-        blocks = values.shape[-1] // self.scene.n_strains
-        at_nodes = values.reshape(*values.shape[:-1], blocks, self.scene.nodes, self.scene.rod.strain_set.n_fields)
-        finer = self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes
-        return np.asarray(finer).reshape(*values.shape[:-1], blocks * self.finer.n_strains)
+        blocks, joint = values.shape[-1] // self.scene.n_strains, self.scene.n_joint
+        each = values.reshape(*values.shape[:-1], blocks, self.scene.n_strains)
+        strains = each[..., : self.scene.n_strains - joint]
+        at_nodes = strains.reshape(*values.shape[:-1], blocks, self.scene.nodes, self.scene.rod.strain_set.n_fields)
+        finer = np.asarray(self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes)
+        moved = finer.reshape(*values.shape[:-1], blocks, self.finer.n_strains - joint)
+        whole = np.concatenate([moved, each[..., self.scene.n_strains - joint :]], axis=-1)
+        return whole.reshape(*values.shape[:-1], blocks * self.finer.n_strains)
 
     def _root_near(self, xi: Array, u: Array, force: Array | float = 0.0) -> Array | None:
         """Strains (n,) of the finer grid near ``xi`` with the residual ``force``, None where the steps overflow."""

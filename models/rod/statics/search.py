@@ -44,6 +44,7 @@ class Search(Rebuilt):
         x, load = ca.SX.sym("x", n), ca.SX.sym("load")
         xi, u, balance = scene.static_balance
         bare = scene.without(object).balance(xi, ca.SX(n, 1), None, ca.SX(0, 1)).residual
+        bare = ca.vertcat(bare, ca.SX(n - bare.numel(), 1))  # a joint at the base resists nothing
         residual = (load * balance.residual + (1.0 - load) * bare) / ca.DM(scene.nominal_residual)
         scaled = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
         return x, u, load, ca.substitute(residual, xi, scaled)

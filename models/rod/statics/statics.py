@@ -78,6 +78,13 @@ class Statics(Rebuilt):
         outputs = [balance.loads.outputs.get(name, empty) for name in ("tension", "length", "unpulled_length")]
         return ca.Function("readings", [xi, u], outputs, {"cse": True})
 
+    def _need_clamp(self) -> None:
+        if self.scene.n_joint:
+            raise ValueError(
+                "equilibria need a base that is clamped; this one has a hinge or slides: let it come to rest by a "
+                "motion with damping, from scene.state(...)"
+            )
+
     # Solving ---------------------------------------------------------------------------------------------------------
 
     @in_turn()
@@ -92,6 +99,7 @@ class Statics(Rebuilt):
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
+        self._need_clamp()
         scene, search = self.scene, self.search
         u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
@@ -188,6 +196,7 @@ class Statics(Rebuilt):
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
+        self._need_clamp()
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         if self.held is not None:
@@ -238,6 +247,7 @@ class Statics(Rebuilt):
         Args:
             inputs: (N, n_inputs) in the order of the path.
         """
+        self._need_clamp()
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
         if self.held is not None:
@@ -277,6 +287,7 @@ class Statics(Rebuilt):
 
         Raises ValueError where the equilibrium has no derivatives (at the load at which it buckles).
         """
+        self._need_clamp()
         s = self.scene.rod.length if s is None else float(s)
         if s not in self._tangents:
             self._tangents[s] = Tangent(self.scene, s)
@@ -293,6 +304,7 @@ class Statics(Rebuilt):
         Negative: unstable. Without an energy (follower loads, friction) it is the least real part of the eigenvalues,
         which rules out buckling, not flutter.
         """
+        self._need_clamp()
         strains, *_, u = self.scene.layout.split(checked_state(self.scene, state))
         if self.held is not None:
             return self.held.margin(strains, u)
@@ -304,6 +316,7 @@ class Statics(Rebuilt):
 
         Raises ValueError for a tip that is held: ``margin`` tells of it.
         """
+        self._need_clamp()
         if self.held is not None:
             raise ValueError("stability is that of a free tip; statics().margin(state) tells of one that is held")
         return stability(self.scene, checked_state(self.scene, state))
@@ -378,6 +391,7 @@ class Statics(Rebuilt):
         guess: ArrayLike | None,
         turns: float,
     ) -> FixedTipEquilibrium:
+        self._need_clamp()
         if self.held is not None:
             raise ValueError("the tip of this scene is held by a HeldTip; solve() finds its equilibria")
         scene, twist = self.scene, float(finite_array(turns, "turns", ()))
@@ -407,6 +421,7 @@ class Statics(Rebuilt):
 
         In parts of the length, along the whole rod; that of the grid alone: see ``Resolution``.
         """
+        self._need_clamp()
         return self.resolution.error(checked_state(self.scene, state))
 
     # Guesses and readings --------------------------------------------------------------------------------------------

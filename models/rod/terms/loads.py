@@ -60,6 +60,8 @@ class Loads:
             at the nodes (damping, tendons).
         point_force: world internal force at the nodes (3, K) in N that balances forces at points of the rod (see
             ``add_at``); ``point_inertia`` (3, K) the same for inertia forces of added masses.
+        base_force, base_moment: what forces in N and moments in N m at points add to the resultants at the base (3,)
+            beside ``tip_force`` and ``tip_moment``.
         gravity: world acceleration of gravity (3,) in m/s^2.
         moving: whether inertia counts.
         inputs: symbol of each input by name.
@@ -75,6 +77,8 @@ class Loads:
     stress_v: ca.SX
     point_force: ca.SX
     point_inertia: ca.SX
+    base_force: ca.SX
+    base_moment: ca.SX
     gravity: ca.SX
     moving: bool
     inputs: dict[str, ca.SX]
@@ -87,7 +91,7 @@ class Loads:
         ``n_nodes`` of the rod, symbols of the ``inputs`` by name, and whether it is ``moving`` (inertia counts).
         """
         nodes, point = ca.SX(3, n_nodes), ca.SX(3, 1)
-        return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, point, moving, inputs)
+        return cls(nodes, nodes, point, point, nodes, nodes, nodes, nodes, point, point, point, moving, inputs)
 
     def add(self, term: Term, motion: Motion) -> None:
         """Let a ``term`` add what it does to a rod in ``motion``.
@@ -124,10 +128,13 @@ class Loads:
             shares = ca.DM(shares_below(motion, s))
             self.point_force += force @ shares
             self.stress_w -= motion.to_body(moment @ shares)
+            self.base_force += force
+            self.base_moment += moment
 
     def add_inertia_at(self, motion: Motion, s: float, force: ca.SX) -> None:
         """Add an inertia force (3,) in N at arclength ``s``. ``motion`` is that of the rod."""
         self.point_inertia += force @ ca.DM(shares_below(motion, s))
+        self.base_force += force
 
     def read(self, value: Vector) -> ca.SX:
         """Symbol of an input, or the numbers themselves; zeros among them are not in the graph. ``value`` is either."""
