@@ -97,11 +97,13 @@ SHORTER = {
         "arm=arm": "arm=arm, candidates=['PI-EDMDc, hold']",
         "steps=400": "steps=20",
     },
-    "docs/front.md": {"episodes=10": "episodes=4", "samples=4000": "samples=400", "steps=400": "steps=20"},
+    "docs/front.md": {"episodes=10": "episodes=4, steps=60", "samples=4000": "samples=400", "steps=400": "steps=20"},
     "docs/control.md": {"steps=400": "steps=10"},
     "docs/identification.md": {
         "episodes=96": "episodes=4, steps=40, progress=False",
+        "calibrate_from_equilibria(arm, u_rest, x_rest)": "calibrate_from_equilibria(arm, u_rest[:4], x_rest[:4])",
         "in range(64)": "in range(4)",
+        'alpha="cv", twin_alpha=1e-5': "alpha=1e-3, twin_alpha=1e-5",
         "sizes=[16, 64, 256], seeds=range(5)": "sizes=[16, 64], seeds=range(2)",
     },
 }

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pisplit.regression import alpha_max, composed_ridge, lasso, least_squares, ridge
-from pisplit.regression.moments import accumulate
+from pisplit.regression.moments import accumulate, stacked
 from pisplit.regression.scaling import column_scales
 
 Array = NDArray[np.float64]
@@ -144,3 +144,18 @@ def test_one_scale_for_each_quantity() -> None:
     np.testing.assert_array_equal(column_scales(std, ["p", "p", "q", "1"], None), np.ones(4))
     with pytest.raises(ValueError, match="scale"):
         column_scales(std, ["p", "p", "q", "1"], "row")
+
+
+@pytest.mark.parametrize("rows", [1, 5, 40])
+def test_triangles_that_are_stacked_give_the_regression_of_all_rows(rows: int) -> None:
+    first, second = RNG.normal(size=(30, 8)), RNG.normal(size=(rows, 8))
+    y, z = RNG.normal(size=(30, 3)), RNG.normal(size=(rows, 3))
+    q, r = np.linalg.qr(first)
+    triangle, target = stacked((r, q.T @ y), (second, z))
+    assert not np.tril(triangle, -1).any()
+    wanted = np.linalg.lstsq(np.vstack([first, second]), np.vstack([y, z]), rcond=None)[0]
+    np.testing.assert_allclose(np.linalg.solve(triangle, target), wanted, atol=1e-12)
+    if rows >= 8:
+        p, s = np.linalg.qr(second)
+        again = stacked((r, q.T @ y), (np.triu(s), p.T @ z))
+        np.testing.assert_allclose(np.linalg.solve(*again), wanted, atol=1e-12)

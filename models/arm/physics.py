@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -57,7 +58,11 @@ class ArmPhysics:
         )
 
     def options(self) -> dict[str, Any]:
-        """Options of ``split="hold"`` (:class:`pisplit.splitting.hold.Hold`)."""
+        """Options of ``split="hold"`` (:class:`pisplit.splitting.hold.Hold`), found once."""
+        return dict(self._options)
+
+    @cached_property
+    def _options(self) -> dict[str, Any]:
         scene = self.arm.scene
         n = scene.n_strains
         equilibrium = np.zeros((2 * n, len(self.table.names)))

@@ -14,7 +14,8 @@ from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import Equilibria, Estimator, check_options
-from pisplit.regression.moments import Moments
+from pisplit.regression.kept import Kept
+from pisplit.regression.moments import Moments, stacked
 from pisplit.regression.scaling import column_scales
 from pisplit.splitting import SplitFit, pair_moments
 
@@ -153,15 +154,12 @@ class Fusion:
         self.ridge = np.sqrt(twin_alpha * (variance or 1.0)) * np.eye(size)
         if self.constant is not None:
             self.ridge[self.constant] = 0.0
+        self._prepare()
 
     def fit(self, moments: Moments, alpha: float) -> SplitFit:
         """K from ``moments`` of recorded pairs, the twin's weighed by ``alpha``."""
-        a, y = self._means(moments)
-        a_twin, y_twin = self.twin
-        weight, ridge = np.sqrt(alpha), np.sqrt(1.0 + alpha)
-        rows = np.vstack([a, weight * a_twin, ridge * self.ridge])
-        q, triangle = scipy.linalg.qr(rows, mode="economic")
-        target = q.T @ np.vstack([y, weight * y_twin, np.zeros((len(self.ridge), y.shape[1]))])
+        weight = np.sqrt(alpha)
+        triangle, target = stacked(self._recorded(moments), (weight * self.prior[0], weight * self.prior[1]))
         k = scipy.linalg.solve_triangular(triangle, target).T
         if self.constant is not None:
             k[:, self.constant] -= k @ self.shift
@@ -172,7 +170,21 @@ class Fusion:
         """The same with ten times the ridge mu."""
         found = copy(self)
         found.twin_alpha, found.ridge = 10.0 * self.twin_alpha, np.sqrt(10.0) * self.ridge
+        found._prepare()
         return found
+
+    def _prepare(self) -> None:
+        """The twin's rows and the ridge as a triangle; the ridge counts 1 + alpha times, once with the recorded rows."""
+        self.prior = self._with_ridge(*self.twin)
+        self._reduced: Kept[tuple[Array, Array]] = Kept()
+
+    def _recorded(self, moments: Moments) -> tuple[Array, Array]:
+        """The triangle of recorded rows and ridge, the same for every alpha of a search."""
+        return self._reduced(moments, lambda: self._with_ridge(*self._means(moments)))
+
+    def _with_ridge(self, a: Array, y: Array) -> tuple[Array, Array]:
+        """Triangle (M, M) and its targets (M, r) for rows ``a``, ``y`` under the ridge."""
+        return stacked((self.ridge, np.zeros((len(self.ridge), y.shape[1]))), (a, y))
 
     def _means(self, moments: Moments) -> tuple[Array, Array]:
         """Rows of scaled columns about the twin's mean, and of their successors, whose squares are means of samples."""

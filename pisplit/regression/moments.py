@@ -117,6 +117,23 @@ def triangular_factor(rows: Array) -> Array:
     return np.zeros((0, rows.shape[1])) if triangle is None else np.ascontiguousarray(triangle)
 
 
+@one_blas_thread()
+def stacked(upper: tuple[Array, Array], rows: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Triangle R (k, k) and targets Q^T Y (k, r) of the regression [R1; A] X = [Y1; Y2].
+
+    ``upper`` is (R1, Y1) with a triangle R1 (k, k), ``rows`` (A, Y2) with A (N, k); zeros below the diagonal of a
+    triangle A cost nothing.
+    """
+    (a, y), (b, z) = upper, rows
+    if len(a) == 0 or len(b) == 0:
+        return a, y
+    corner = len(b) if b.shape == a.shape and not np.tril(b, -1).any() else 0
+    below = np.array(b, order="F")
+    found, v, t, _ = lapack.dtpqrt(corner, min(REFLECTOR, len(a)), np.array(a, order="F"), below, overwrite_a=1)
+    above, _, _ = lapack.dtpmqrt(corner, v, t, np.array(y, order="F"), np.array(z, order="F"), side="L", trans="T")
+    return np.asarray(found), np.asarray(above)
+
+
 def _triangle(parts: Iterable[Array]) -> Array | None:
     """Triangle of the rows of all ``parts`` (overwritten), a trapezoid of fewer rows than columns; None of no part.
 

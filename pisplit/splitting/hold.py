@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from pisplit.checks import finite_array
 from pisplit.generator import generator_edmd, spectral_radius
+from pisplit.regression.kept import Kept
 from pisplit.regression.moments import Moments
 from pisplit.splitting.base import SplitContext, SplitFit, Unknown
 from pisplit.splitting.options import check_options, directions, generator_samples, ports
@@ -72,7 +73,7 @@ class Hold:
         self.scale = context.scale[self.learned]
         self.deviation = self._deviation(len(self.learned), len(self.inputs))
         self.ports = ports(context)
-        self.physical: tuple[Moments, Array, dict[str, Any]] | None = None
+        self.physical: Kept[tuple[Array, dict[str, Any]]] = Kept()
 
     def known(self) -> KnownRates:
         """L_f from phase samples (paper, eq. cont_koopman_solve): what the state and the inputs do to psi."""
@@ -91,9 +92,7 @@ class Hold:
 
     def unknown(self, k_f: KnownRates, moments: Moments, alpha: float) -> Unknown:
         """H beside the known rates ``k_f`` from ``moments`` of pairs, then the departure that ``alpha`` weighs."""
-        if self.physical is None or self.physical[0] is not moments:  # a search over alpha asks again and again
-            self.physical = moments, *self._physical(k_f, moments)
-        _, physical, details = self.physical
+        physical, details = self.physical(moments, lambda: self._physical(k_f, moments))
         return departure(self.context, physical, moments, alpha, details)
 
     def composed(self, k_f: KnownRates, k_h: Unknown) -> SplitFit:
@@ -109,7 +108,7 @@ class Hold:
             warnings.warn(
                 "split='hold' leaves h free in every row and of every column, so that f has no effect on these data; "
                 "say where h acts: rows, options['ports'] or options['loads']",
-                stacklevel=8,
+                stacklevel=10,
             )
         gains = self._identify(k_f, a, y)
         transition = scipy.linalg.expm(self.context.dt * self._rates(k_f, gains)[:, : len(self.learned)])

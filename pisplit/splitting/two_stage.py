@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pisplit.regression import penalised, unit_weight
+from pisplit.regression.kept import Kept
 from pisplit.regression.moments import Moments
 from pisplit.splitting.base import Array, SplitContext, SplitFit, Splitting, Unknown
 
@@ -33,7 +34,7 @@ class TwoStage:
         self.context = context
         self.first = splitting(replace(context, penalty="ridge", toward="zero", solver="auto"))
         self.alphas = GRIDS[context.penalty]
-        self.physical: tuple[Moments, SplitFit] | None = None
+        self.physical: Kept[SplitFit] = Kept()
 
     def known(self) -> Any:
         """The known part of the first stage."""
@@ -41,9 +42,7 @@ class TwoStage:
 
     def unknown(self, k_f: Any, moments: Moments, alpha: float) -> Unknown:
         """Departure from the physical map of the known part ``k_f``, from ``moments`` of pairs; ``alpha`` weighs it."""
-        if self.physical is None or self.physical[0] is not moments:  # a search over alpha asks again and again
-            self.physical = moments, self.first.composed(k_f, self.first.unknown(k_f, moments, 0.0))
-        physical = self.physical[1]
+        physical = self.physical(moments, lambda: self.first.composed(k_f, self.first.unknown(k_f, moments, 0.0)))
         return departure(self.context, physical.K, moments, alpha, physical.details)
 
     def composed(self, k_f: Any, k_h: Unknown) -> SplitFit:
