@@ -174,7 +174,7 @@ class Fusion:
         return found
 
     def _prepare(self) -> None:
-        """The twin's rows and the ridge as a triangle; the ridge counts 1 + alpha times, once with the recorded rows."""
+        """Twin and ridge as a triangle; the ridge counts 1 + alpha times, once with the recorded rows."""
         self.prior = self._with_ridge(*self.twin)
         self._reduced: Kept[tuple[Array, Array]] = Kept()
 
