@@ -19,6 +19,8 @@ if _TYPE_CHECKING:
     from pisplit.data.actuator import Actuator as Actuator
     from pisplit.data.episodes import Episodes as Episodes
     from pisplit.data.episodes import Pairs as Pairs
+    from pisplit.data.labelled import from_xarray as from_xarray
+    from pisplit.data.labelled import to_xarray as to_xarray
     from pisplit.data.phase import PhaseSamples as PhaseSamples
     from pisplit.dictionary.dictionary import Dictionary as Dictionary
     from pisplit.estimators.actuator_scan import FoundActuator as FoundActuator
@@ -27,6 +29,7 @@ if _TYPE_CHECKING:
     from pisplit.estimators.choosing import Chosen as Chosen
     from pisplit.estimators.choosing import choose as choose
     from pisplit.estimators.edmdc import LinearEDMDc as LinearEDMDc
+    from pisplit.estimators.features import DictionaryFeatures as DictionaryFeatures
     from pisplit.estimators.pi import PIEDMDc as PIEDMDc
     from pisplit.estimators.relifted import ReliftedEDMDc as ReliftedEDMDc
     from pisplit.estimators.streaming import StreamingEDMDc as StreamingEDMDc
@@ -49,6 +52,7 @@ if _TYPE_CHECKING:
     from pisplit.generator import generator_edmd as generator_edmd
     from pisplit.generator import generator_spectrum as generator_spectrum
     from pisplit.generator import half_step as half_step
+    from pisplit.lifted.foreign import from_state_space as from_state_space
     from pisplit.lifted.formats import to_c_header as to_c_header
     from pisplit.lifted.formats import to_control as to_control
     from pisplit.lifted.formats import to_numpy as to_numpy
@@ -71,12 +75,14 @@ _PLACES = {
     "pisplit.controllers.plants": "Markers",
     "pisplit.data.actuator": "Actuator",
     "pisplit.data.episodes": "Episodes Pairs",
+    "pisplit.data.labelled": "from_xarray to_xarray",
     "pisplit.data.phase": "PhaseSamples",
     "pisplit.dictionary.dictionary": "Dictionary",
     "pisplit.estimators.actuator_scan": "FoundActuator find_actuator",
     "pisplit.estimators.bilinear": "BilinearEDMDc",
     "pisplit.estimators.choosing": "Chosen choose",
     "pisplit.estimators.edmdc": "LinearEDMDc",
+    "pisplit.estimators.features": "DictionaryFeatures",
     "pisplit.estimators.pi": "PIEDMDc",
     "pisplit.estimators.relifted": "ReliftedEDMDc",
     "pisplit.estimators.streaming": "StreamingEDMDc",
@@ -87,6 +93,7 @@ _PLACES = {
     "pisplit.evaluation.rollouts": "RolloutErrors rollout_errors",
     "pisplit.front": "ArmIdentifier Identified identify",
     "pisplit.generator": "HalfStep Spectrum generator_edmd generator_spectrum half_step",
+    "pisplit.lifted.foreign": "from_state_space",
     "pisplit.lifted.formats": "to_c_header to_control to_numpy to_state_space",
     "pisplit.lifted.model": "LiftedModel Rollout",
     "pisplit.lifted.modes": "Modes modes",
@@ -107,6 +114,7 @@ __all__ = [
     "Chosen",
     "Comparison",
     "Dictionary",
+    "DictionaryFeatures",
     "Episodes",
     "FoundActuator",
     "HalfStep",
@@ -135,6 +143,8 @@ __all__ = [
     "choose",
     "compare",
     "find_actuator",
+    "from_state_space",
+    "from_xarray",
     "generator_edmd",
     "generator_spectrum",
     "half_step",
@@ -153,6 +163,7 @@ __all__ = [
     "to_control",
     "to_numpy",
     "to_state_space",
+    "to_xarray",
 ]
 
 
