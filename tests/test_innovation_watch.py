@@ -82,8 +82,13 @@ def test_the_system_that_was_recorded_is_not_suspected(plant: Callable[[], Any],
 )
 @pytest.mark.parametrize("since", [0, 60])
 def test_another_system_is_noticed_within_a_second(changed: dict[str, float], delays: int, since: int) -> None:
-    log, _ = run(Arm(since=since, **changed), delays)
+    log, watch = run(Arm(since=since, **changed), delays)
     assert log.notes and "innovations are" in log.notes[0]
+    turned = [note for note in log.notes if "act the other way round" in note]
+    flipped = changed.get("gain", 1.0) < 0.0
+    # Named for sure by models without delays, whose states do not tell of inputs, unless the loop is lost before.
+    assert len(turned) == flipped or (flipped and not turned and (since > 0 or delays > 0))
+    assert not turned or (watch.gain is not None and -1.5 < watch.gain < -0.3)
     said = float(log.notes[0].split("t = ")[1].split(" s")[0])
     moving = max(since, int(np.argmax(np.abs(log.u).max(axis=1) > 0.05)))
     assert 0.0 < said - DT * moving <= 1.0 + DT

@@ -233,7 +233,7 @@ class ClosedLoop:
                 if problem:  # the input that broke the plant belongs to no completed step
                     record.message = _at(k, first + steps, dt) + f"the plant {problem}"
                     break
-                record.add(move, u, spent, late, state)
+                record.add(move, u, spent, late, state, self.controller)
                 follower.write_if_due()
                 where = "a callback"
                 step = LoopStep(k, (k + 1) * dt, state.copy(), record.wanted[k + 1].copy(), u.copy(), move)

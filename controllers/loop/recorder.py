@@ -19,8 +19,8 @@ LIMIT_TOLERANCE = 1e-9
 @dataclass(eq=False)
 class Recorder:
     """A run: its ``reference``, bound to the start, and its samples ``wanted`` (so far); ``u0`` (m,); states ``x``,
-    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` and ``late`` [s] each; ``message`` and ``notes`` as
-    in the log; ``stuck``: states that were found stuck."""
+    ``moves``, the inputs ``u`` of completed steps, ``plant_time`` and ``late`` [s] each, whether a limit of then was
+    ``broken``; ``message`` and ``notes`` as in the log; ``stuck``: states that were found stuck."""
 
     reference: Reference
     wanted: Array
@@ -30,6 +30,7 @@ class Recorder:
     u: list[Array] = field(default_factory=list)
     plant_time: list[float] = field(default_factory=list)
     late: list[float] = field(default_factory=list)
+    broken: list[bool] = field(default_factory=list)
     message: str = ""
     notes: list[str] = field(default_factory=list)
     stuck: set[int] = field(default_factory=set)
@@ -38,8 +39,12 @@ class Recorder:
         """A record that goes on apart from this one."""
         return copy.deepcopy(self)
 
-    def add(self, move: Move, u: Array, plant_time: float, late: float, x: Array) -> None:
-        """A completed step: ``move``, applied input ``u`` (m,), ``plant_time``, ``late`` [s], state ``x`` (n,) then."""
+    def add(self, move: Move, u: Array, plant_time: float, late: float, x: Array, controller: Controller) -> None:
+        """A completed step: ``move``, applied input ``u`` (m,), ``plant_time``, ``late`` [s], state ``x`` (n,) then.
+
+        ``controller``: whose limits of now the input had to keep.
+        """
+        self.broken.append(_violated(u, self.u[-1] if self.u else self.u0, controller))
         self.x[-1][list(move.stuck)] = np.nan
         self.moves.append(move)
         self.u.append(u)
@@ -79,17 +84,13 @@ class Recorder:
             missing=np.array([move.missing for move in moves], dtype=int),
             rejected=np.array([move.rejected for move in moves], dtype=int),
             stuck=np.array([len(move.stuck) for move in moves], dtype=int),
-            limit_violations=_count_violations(u, u0, controller),
+            limit_violations=sum(self.broken[first:N]),
             message=self.message,
             notes=tuple(self.notes),
         )
 
 
-def _count_violations(u: Array, u0: Array, controller: Controller) -> int:
-    """Steps whose applied input is outside the box or changed faster than the rate limits."""
-    if not len(u):
-        return 0
-    change = np.abs(np.diff(u, axis=0, prepend=u0[None]))
-    bad = (u < controller.u_min - LIMIT_TOLERANCE) | (u > controller.u_max + LIMIT_TOLERANCE)
-    bad |= change > controller.du_max + LIMIT_TOLERANCE
-    return int(np.count_nonzero(bad.any(axis=1)))
+def _violated(u: Array, before: Array, controller: Controller) -> bool:
+    """Whether the input is outside the box or changed faster than the rate limits."""
+    outside = (u < controller.u_min - LIMIT_TOLERANCE) | (u > controller.u_max + LIMIT_TOLERANCE)
+    return bool((outside | (np.abs(u - before) > controller.du_max + LIMIT_TOLERANCE)).any())

@@ -207,6 +207,37 @@ class MPC:
         self._wanted = None
         self._plan = None
 
+    def limit(
+        self, u_min: ArrayLike | None = None, u_max: ArrayLike | None = None, du_max: ArrayLike | None = None
+    ) -> None:
+        """Other input limits from the next step on, those not given as they were; the run goes on.
+
+        What was estimated and the plan are kept. Rate and input weights are relative to the new box, as ever. Raises
+        ValueError, and changes nothing, for limits that do not fit, and for a box that the present input is not in: go
+        inside first.
+        """
+        given = {"u_min": u_min, "u_max": u_max, "du_max": du_max}
+        arguments = self._arguments | {name: value for name, value in given.items() if value is not None}
+        other = type(self)(self.model, **arguments, observer=self._estimation.observer)
+        outside = (self._commanded < other.u_min) | (self._commanded > other.u_max)
+        if outside.any():
+            i = int(np.argmax(outside))
+            raise ValueError(
+                f"the present input {i} is {self._commanded[i]:.4g}, outside the new box {other.u_min[i]:.4g} .. "
+                f"{other.u_max[i]:.4g}; bring it inside first"
+            )
+        state = self.snapshot()
+        if self._plan is not None:
+            planned = self._limits.offset + self._problem.moves(self._plan) @ self._problem.T.T
+            moves = [other._limits.coordinates(u) / other._problem.scale for u in planned]
+            plan = other._problem.hold(moves[0])
+            plan[: other._problem.n_moves] = np.ravel(moves)
+            state = replace(state, plan=plan)
+        rest = np.clip(state.fallback.rest, other.u_min, other.u_max)
+        fallback = replace(state.fallback, rest=rest)
+        other.restore(replace(state, fallback=fallback, problem=other._problem.snapshot()))
+        self.__dict__ = other.__dict__
+
     def with_model(self, model: LiftedModel | Fitted, log: LoopLog, episodes: Episodes | None = None) -> MPC:
         """The same controller on another ``model`` of the same states and inputs, in the midst of the run of ``log``.
 

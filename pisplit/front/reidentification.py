@@ -30,6 +30,8 @@ from pisplit.models.rod.analysis.fields import N_FIELDS
 
 #: Windows of the log and their steps: longer ones of violent motion jump between solutions.
 WINDOWS, STEPS = 16, 6
+#: One of so many stretches is calm.
+CALM = 4
 #: Misses in standard deviations of the sensors from which on what was freed does not explain the log.
 UNEXPLAINED = 3.0
 #: Mass at the tip in kg with which a fit to shapes at rest begins.
@@ -163,9 +165,11 @@ class Causes:
 def cut(log: LoopLog, arm: TendonArm, number: int, steps: int, commands: bool = False) -> Any:
     """Short windows of a ``log``: fields (N, steps+1, n), and displacements (N, steps+1, m) in m.
 
-    They are spread evenly over where everything was measured. ``number`` of them; ``arm``: whose fields these should
-    be. With ``commands`` the second are lists of all inputs of the log up to the end of each window. Raises ValueError
-    where the states are not the fields of the arm, or nothing was measured for so many steps.
+    They are spread evenly over the calmer quarter of what was measured whole: simulations of violent motion, a limit
+    cycle for instance, jump between solutions where they begin with wrong parameters. ``number`` of them, of so many
+    ``steps``; ``arm``: whose fields these should be. With ``commands`` the second are lists of all inputs of the log up
+    to the end of each window. Raises ValueError where the states are not the fields of the arm, or nothing was measured
+    for so many steps.
     """
     stations, rest = divmod(log.x.shape[1], N_FIELDS)
     names = tuple(arm.scene.field_map(stations).names) if stations and not rest else ()
@@ -177,7 +181,11 @@ def cut(log: LoopLog, arm: TendonArm, number: int, steps: int, commands: bool = 
     starts = [k for k in range(len(gaps) - size + 1) if not gaps[k : k + size].any()]
     if len(starts) < 2:
         raise ValueError(f"no {size} samples in a row are measured in the log of {len(log.u)} steps; run it longer")
-    chosen = [starts[int(i)] for i in np.unique(np.linspace(0, len(starts) - 1, count(number, "number")).astype(int))]
+    if len(starts) > CALM * count(number, "number"):
+        moved = np.diff(log.x, axis=0) / np.maximum(np.nanmax(np.abs(log.x), axis=0), 1e-12)
+        motion = np.array([float((moved[k : k + size - 1] ** 2).mean()) for k in starts])
+        starts = [starts[i] for i in np.sort(np.argsort(motion)[: len(starts) // CALM])]
+    chosen = [starts[int(i)] for i in np.unique(np.linspace(0, len(starts) - 1, number).astype(int))]
     fields = np.stack([log.x[k : k + size] for k in chosen])
     if commands:
         return fields, [inputs[: k + size] for k in chosen]
