@@ -146,6 +146,8 @@ def test_an_infeasible_problem_has_no_solution_and_leaves_no_trace() -> None:
     assert again.status == "solved" and again.x is not None
     np.testing.assert_allclose(again.x, [0.5, 0.5], atol=1e-3)
     assert qp.solve(np.zeros(2), np.ones(2), -np.ones(2)).status == "bounds crossed"
+    # A lower bound that OSQP takes for infinite is one above the upper: it would go on with the bounds of before.
+    assert qp.solve(np.zeros(2), np.full(2, 1e31), np.full(2, np.inf)).x is None
     assert qp.solve(np.array([np.nan, 0.0]), -np.ones(2), np.ones(2)).x is None
 
 

@@ -14,6 +14,8 @@ from scipy import sparse
 from pisplit.checks import Array, count, one_of, positive
 
 SOLVERS = ("osqp", "daqp")
+#: Beyond this OSQP takes a bound for infinite, a lower one of this size for one that crosses the upper.
+LARGEST = 1e29
 RHO = 0.1  # OSQP's default, put back at a restart so that runs repeat
 PRIMAL_TOLERANCE = 1e-2  # constraint rows are scaled to unit size; what is left is removed by the projection of u0
 
@@ -211,6 +213,8 @@ def unsolvable(q: Array, lower: Array, upper: Array) -> QPResult | None:
         return QPResult("cost not finite", None, 0, np.inf)
     if not (lower <= upper).all():  # False on NaN too
         return QPResult("bounds crossed", None, 0, np.inf)
+    if (lower > LARGEST).any() or (upper < -LARGEST).any():  # OSQP would keep the bounds of the step before
+        return QPResult("bounds out of range", None, 0, np.inf)
     return None
 
 
