@@ -7,6 +7,7 @@ from scipy.special import ellipk
 
 from pisplit.models import rod
 from pisplit.models.rod.dynamics.propagation import MOST_TURN
+from pisplit.models.rod.output.codegen import board_step
 
 L, E = 0.5, 4e6
 SECTION, MATERIAL = rod.Circle(2e-3), rod.Elastic(E, E / 2.8, 1100.0)
@@ -175,3 +176,33 @@ def test_joints_that_make_no_sense_are_refused_in_one_line():
     assert not run.success and "makes a turn" in run.message
     assert np.linalg.norm(run.x[-1, 6:9]) <= MOST_TURN and len(run.u) >= 5
     assert "18 = 2 x 9 strains (3 of the joint) and rates" in str(scene) and "turns about any axis" in str(scene)
+
+
+def test_joints_and_branches_go_together():
+    """A viscoelastic rod on a hinge: derivatives of a step, the step of a board, modes and stored energy."""
+    scene = rod.Scene(
+        body(),
+        rod.Base(hinge=(0, 1, 0)),
+        rod.Gravity((0, 0, 9.81)),
+        rod.Maxwell(0.5, 0.1),
+        rod.Retardation(0.02),
+        nodes=2,
+    )
+    assert scene.layout.n_overstress == 2 and scene.n_states == 8
+    start = scene.state([0.5, 0.2, 0.4], [1.0, -2.0, 0.5], NONE, [0.3, -0.1])
+    stepper = scene.stepper(0.03, step=0.01, tolerance=1e-13)
+    found, d = stepper.sensitivity(start, NONE), 1e-5
+    ends = [
+        [stepper.run(np.empty((1, 0)), start + side * d * e, check=False).x[-1] for e in np.eye(8)] for side in (1, -1)
+    ]
+    by_state = (np.array(ends[0]) - np.array(ends[1])).T / (2 * d)
+    assert np.abs(found.d_state - by_state).max() < 1e-6 * np.abs(by_state).max()
+    fine = scene.stepper(0.03, step=0.001).run(np.empty((1, 0)), start, energy=True, check=False)
+    errors = [np.abs(np.asarray(board_step(scene, 0.03, k)(start, NONE)[0]).ravel() - fine.x[-1]) for k in (8, 16)]
+    assert errors[1].max() < 0.35 * errors[0].max() and errors[1][:3].max() < 2e-3
+    assert np.abs(fine.energy().imbalance).max() < 1e-6 * np.ptp(fine.energy().stored.total)
+    modes = scene.modes(scene.statics().solve().state)
+    assert np.sum(modes.eigenvalues.imag == 0.0) >= 2 and np.isfinite(modes.strains).all()
+    assert np.abs(modes.strains).max(axis=1).min() > 0.0
+    checked = scene.simulator(0.03).run(np.empty((3, 0)), start, check=True)
+    assert checked.error is not None and np.isfinite(checked.error.distance).all()

@@ -210,15 +210,15 @@ def _residual(scene: Scene, terms: tuple[Term, ...], xi: ca.SX, xi_t: ca.SX, u: 
 
 
 def _by_branch(scene: Scene, sigma: ca.SX) -> list[ca.SX]:
-    """Overstress (n,) of each branch."""
-    n = scene.n_strains
+    """Overstress (n_free,) of each branch."""
+    n = scene.layout.n_free
     return [sigma[k * n : (k + 1) * n] for k in range(len(scene.branches))]
 
 
 def _square(scene: Scene, sigma: ca.SX) -> ca.SX:
-    """int K sigma^2 ds of the overstress (n,) of a branch in J."""
+    """int K sigma^2 ds of the overstress (n_free,) of a branch in J."""
     stiffness = scene.rod.profile(scene.rule.nodes).stiffness[list(scene.rod.strain_set.free)].T.ravel()
-    return ca.dot(ca.DM(scene.weights[: len(stiffness)] * stiffness) * sigma[: len(stiffness)], sigma[: len(stiffness)])
+    return ca.dot(ca.DM(scene.weights[: len(stiffness)] * stiffness) * sigma, sigma)
 
 
 def _check_base(scene: Scene) -> None:

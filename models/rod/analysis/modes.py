@@ -32,7 +32,8 @@ POINTS = 21
 class NaturalModes:
     """Natural modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.
 
-    Maxwell branches add as many modes that creep, not far from 1/time, as they have states.
+    Maxwell branches add as many modes that creep, at rates not far from 1/time, as they have states. These lie close
+    together, so that no single one is found again on a finer grid (``error`` infinite).
 
     The fastest modes of a grid are no modes of the rod: ``resolved`` says which are.
 

@@ -119,7 +119,9 @@ class Simulator(Propagation):
         failure: RuntimeError | None = None
         for of_strains, of_rates, correct in STARTS if steps == 1 else STARTS[:1]:
             integrator = self._integrator(steps, correct, energy, level)
-            sigma_t = of_strains * (fractions * np.tile(moving, layout.n_branches) - relaxing * overstress)
+            sigma_t = of_strains * (
+                fractions * np.tile(moving[: layout.n_free], layout.n_branches) - relaxing * overstress
+            )
             rates = np.concatenate([of_strains * moving, of_rates * accelerations, sigma_t])
             fading = self._fading_time(rates)
             held = np.concatenate([start[layout.moving], rates, [fading]])
@@ -157,7 +159,7 @@ class Simulator(Propagation):
     def _nominal(self) -> Array:
         """Typical strains, rates, overstress and accelerations (3 n_strains + b n_strains,)."""
         scene = self.equations
-        hidden = np.tile(scene.nominal_strains, len(scene.branches))
+        hidden = np.tile(scene.nominal_strains[: scene.layout.n_free], len(scene.branches))
         strains, moving, bends = (scene.nominal_strains * scene.nominal_rates**k for k in range(3))
         return np.concatenate([strains, moving, hidden, bends])
 
@@ -198,7 +200,7 @@ class Simulator(Propagation):
         except np.linalg.LinAlgError:
             return 1.0
         rates = np.abs(moving) / self._nominal[self.scene.layout.rates]
-        stress = np.abs(overstress) / np.tile(unit, self.scene.layout.n_branches)
+        stress = np.abs(overstress) / np.tile(unit[: self.scene.layout.n_free], self.scene.layout.n_branches)
         size = max(float(np.abs(ways).max()), float(rates.max()), float(stress.max(initial=0.0)))
         return size / TYPICAL if np.isfinite(size) else 1.0
 

@@ -33,7 +33,7 @@ class Overstress:
     """
 
     def __init__(self, equations: Scene, a: Array, b: Array) -> None:
-        self.branches, self.n = equations.branches, equations.n_strains
+        self.branches, self.layout = equations.branches, equations.layout
         self.a, self.b = a, b
 
     @cached_property
@@ -63,18 +63,18 @@ class Overstress:
         return found if isinstance(h, ca.MX) else [np.asarray(w) for w in found]
 
     def along(self, x: Any, z: Any, h: Any) -> Any:
-        """Overstress (b n, s+1) at the stages and at the end; numpy or MX.
+        """Overstress (n_overstress, s+1) at the stages and at the end; numpy or MX.
 
         Args:
             x: [xi, xi_t, sigma] at the start of the step.
             z: accelerations (n, s).
             h: step in s.
         """
-        n, rows = self.n, []
+        n, free, rows = self.layout.n_strains, self.layout.n_free, []
         for k, weights in enumerate(self.weights(h)):
-            sigma = x[(2 + k) * n : (3 + k) * n].reshape((n, 1))
-            rates = x[n : 2 * n].reshape((n, 1))
-            rows.append(sigma @ weights[:1, :] + rates @ weights[1:2, :] + z @ weights[2:, :])
+            first = 2 * n + k * free
+            sigma, rates = x[first : first + free].reshape((free, 1)), x[n : n + free].reshape((free, 1))
+            rows.append(sigma @ weights[:1, :] + rates @ weights[1:2, :] + z[:free, :] @ weights[2:, :])
         if not rows:
             return np.empty((0, len(self.b) + 1)) if isinstance(z, np.ndarray) else ca.MX(0, len(self.b) + 1)
         return np.vstack(rows) if isinstance(z, np.ndarray) else ca.vertcat(*rows)
@@ -86,8 +86,20 @@ class Overstress:
         ``h`` is the step in s.
         """
         stages, weights = range(len(self.b)), self.weights(h)
-        n, found = self.n, []
+        free, joint, found = self.layout.n_free, self.layout.n_joint, []
         for i in stages:
-            blocks = [acting[i][:, k * n : (k + 1) * n] for k in range(len(weights))]
+            blocks = [acting[i][:, k * free : (k + 1) * free] for k in range(len(weights))]
+            if joint:  # it has no overstress
+                blocks = [_widened(block, joint) for block in blocks]
             found.append([sum(w[2 + j, i] * b for w, b in zip(weights, blocks, strict=True)) for j in stages])
         return found
+
+
+def _widened(block: Any, by: int) -> Any:
+    """``block`` with that many columns of zeros behind it; numpy or MX."""
+    rows = block.shape[0]
+    return (
+        np.hstack([block, np.zeros((rows, by))])
+        if isinstance(block, np.ndarray)
+        else ca.horzcat(block, ca.MX(rows, by))
+    )

@@ -48,7 +48,8 @@ class SpaceError(Rebuilt):
         """
         fine, steps = self.finer.n_strains, len(found.t)
         strains, rates, overstress, inputs = self.scene.layout.split(found.x)
-        states = [self.resolution.interpolated(part) for part in (strains, rates, overstress)]
+        states = [self.resolution.interpolated(part) for part in (strains, rates)]
+        states.append(self.resolution.interpolated(overstress, 0))
         given = tuple(part.T for part in self.scene.layout.arguments(found.x))
         bends = np.asarray(self.scene.acceleration.map(steps)(*given)).T
         motion = np.hstack([*states[:2], self.resolution.interpolated(bends), states[2]])
@@ -77,8 +78,9 @@ class SpaceError(Rebuilt):
         """(q, q + 2 n) from the deviation, the defect and its change over ``dt`` to the deviation ``dt`` later."""
         n, q, (fractions, relaxing) = self.finer.n_strains, self._free, self.finer.relaxation
         branches = self.finer.layout.n_branches
-        unit = np.tile(self.finer.nominal_strains, 3 + branches)
-        unit *= np.repeat(self._rate ** np.array([0, 1, 2, *[0] * branches]), n)
+        unit = np.tile(self.finer.nominal_strains, 3) * np.repeat(self._rate ** np.arange(3), n)
+        free = self.finer.layout.n_free
+        unit = np.append(unit, np.tile(self.finer.nominal_strains[:free], branches))
         probes = STEP * np.vstack([np.eye(len(unit)), -np.eye(len(unit))]) * unit
         after, before = np.split(np.asarray(self._defect.map(len(probes))((motion + probes).T, u)).T, 2)
         slopes = ((after - before) / (2.0 * STEP * unit[:, None])).T
@@ -92,7 +94,7 @@ class SpaceError(Rebuilt):
         generator[:n, n : 2 * n] = np.eye(n)
         generator[n : 2 * n, : q + n] = of_all
         generator[n : 2 * n, n : 2 * n] += FADING * dt * of_all[:, :n]
-        generator[2 * n : q, n : 2 * n] = fractions[:, None] * np.tile(np.eye(n), (branches, 1))
+        generator[2 * n : q, n : 2 * n] = fractions[:, None] * np.tile(np.eye(free, n), (branches, 1))
         generator[2 * n : q, 2 * n : q] = -np.diag(relaxing)
         generator[q : q + n, q + n :] = np.eye(n) / dt
         flow: Array = expm(generator * dt)[:q]

@@ -23,7 +23,8 @@ class Stepper(Propagation):
     """Motion of a scene in equal internal steps: for undamped rods and for hard real time.
 
     Gauss collocation has order ``2 * stages``, keeps quadratic invariants and damps nothing, so that the energy of an
-    undamped rod stays where it is; strongly overdamped modes settle no faster than the step (IDAS is better there).
+    undamped rod stays where it is; strongly overdamped modes, and Maxwell branches that start under stress and relax
+    within a step, settle no faster than the step (IDAS is better there).
     Undamped spatial scenes move by their ``variational`` equations, which the energy needs as much as the scheme.
 
     The accelerations at the stages are found by Newton's method with the simplified iteration matrix (see
@@ -166,6 +167,6 @@ class Stepper(Propagation):
             rows.append(row + of_sigma[i] @ d_sigma[i])
         d_z = -np.linalg.solve(matrix, np.vstack(rows)).reshape(s, n, -1)
         shape = d_xi + h * d_xi_t + h * h * np.tensordot(scheme.b @ scheme.a, d_z, 1)
-        bent = [np.tensordot(w[2:, -1], d_z, 1) for w in scheme.overstress.weights(h)]
+        bent = [np.tensordot(w[2:, -1], d_z[:, : layout.n_free], 1) for w in scheme.overstress.weights(h)]
         hidden = [d_sigma[-1] + np.vstack(bent)] if bent else []
         return np.vstack([shape, d_xi_t + h * np.tensordot(scheme.b, d_z, 1), *hidden])

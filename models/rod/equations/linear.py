@@ -101,7 +101,7 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     lower = -np.linalg.solve(rows[:, :n], rows[:, n:])
     layout, (fractions, relaxing) = scene.layout, scene.relaxation
     top = np.hstack([np.zeros((n, n)), np.eye(n), np.zeros((n, layout.n_overstress))])
-    strained = fractions[:, None] * np.tile(np.eye(n), (layout.n_branches, 1))
+    strained = fractions[:, None] * np.tile(np.eye(layout.n_free, n), (layout.n_branches, 1))
     bottom = np.hstack([np.zeros((layout.n_overstress, n)), strained, -np.diag(relaxing)])
     still = np.zeros((layout.n_overstress, layout.n_inputs + n))
     given = np.vstack([np.zeros((n, layout.n_inputs + n)), lower[:, layout.n_moving :], still])

@@ -92,7 +92,9 @@ def board_step(scene: Scene, dt: float, substeps: int) -> ca.Function:
 
     # One stage: strains xi + gamma h v, rates v = rate + gamma h a and overstress that balance with accelerations a.
     def overstress(v: ca.MX) -> ca.MX:
-        return (hidden + GAMMA * h * fractions * ca.repmat(v, layout.n_branches, 1)) / (1.0 + GAMMA * h * relaxing)
+        return (hidden + GAMMA * h * fractions * ca.repmat(v[: layout.n_free], layout.n_branches, 1)) / (
+            1.0 + GAMMA * h * relaxing
+        )
 
     a = guess
     for _ in range(NEWTON_ITERATIONS):
@@ -101,7 +103,9 @@ def board_step(scene: Scene, dt: float, substeps: int) -> ca.Function:
         d_xi, d_rate, d_a, d_acting = jacobian(*point, ca.DM(n, 1))
         for k in range(layout.n_branches):
             of_rates = GAMMA * h * scene.branches[k].fraction / (1.0 + GAMMA * h / scene.branches[k].time)
-            d_rate = d_rate + of_rates * d_acting[:, k * n : (k + 1) * n]
+            free = layout.n_free
+            through = ca.horzcat(d_acting[:, k * free : (k + 1) * free], ca.DM(n, layout.n_joint))
+            d_rate = d_rate + of_rates * through
         matrix = ca.densify((GAMMA * h) ** 2 * d_xi + GAMMA * h * d_rate + d_a)
         a = a - ca.solve(matrix, balance(*point), "qr", {"eps": 1e-30})
     v = rate + GAMMA * h * a

@@ -92,7 +92,7 @@ class Equations(Contents):
         """
         parts: dict[str, ca.SX] = {}
         branches = self.branches if u.numel() == self.layout.n_acting else ()
-        sizes = [(branch.state, self.n_strains) for branch in branches] + [(i.name, i.size) for i in self.inputs]
+        sizes = [(branch.state, self.layout.n_free) for branch in branches] + [(i.name, i.size) for i in self.inputs]
         start = 0
         for name, size in sizes:
             parts[name] = u[start : start + size]
@@ -151,15 +151,15 @@ class Equations(Contents):
 
     @cached_property
     def relaxation(self) -> tuple[Array, Array]:
-        """Of every overstress (b n,) its branch's fraction, and the rate 1/time in 1/s at which it relaxes."""
+        """Of every overstress its branch's fraction, and the rate 1/time in 1/s at which it relaxes."""
         given = np.array([(b.fraction, 1.0 / b.time) for b in self.branches]).reshape(-1, 2)
-        fractions, rates = np.repeat(given, self.n_strains, axis=0).T
+        fractions, rates = np.repeat(given, self.layout.n_free, axis=0).T
         return _fixed(fractions.copy()), _fixed(rates.copy())
 
     def overstress_rates(self, rates: ca.MX, overstress: ca.MX) -> ca.MX:
-        """sigma_t = fraction xi_t - sigma / time (b n,) per s of strain ``rates`` (n,) and ``overstress`` (b n,)."""
+        """sigma_t = fraction xi_t - sigma / time (n_overstress,) per s, of ``rates`` (n_strains,), ``overstress``."""
         fractions, relaxing = (ca.DM(values) for values in self.relaxation)
-        return fractions * ca.repmat(rates, len(self.branches), 1) - relaxing * overstress
+        return fractions * ca.repmat(rates[: self.layout.n_free], len(self.branches), 1) - relaxing * overstress
 
     def native(self, function: ca.Function) -> ca.Function:
         """``function`` as this scene evaluates it: by the virtual machine of CasADi; compiled scenes differ."""
@@ -174,7 +174,7 @@ class Equations(Contents):
             strains: xi (n_strains,).
             rates: xi_t (n_strains,) per s.
             u: inputs (n_inputs,).
-            overstress: sigma (b n_strains,) of b branches, relaxed when not given.
+            overstress: sigma (n_overstress,) of the branches, relaxed when not given.
         """
         n, hidden = self.n_strains, self.layout.n_overstress
         return np.concatenate(

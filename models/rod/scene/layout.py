@@ -12,7 +12,7 @@ class Parts(NamedTuple):
     Attributes:
         strains: free strains xi (..., n), node by node, and joint coordinates behind them.
         rates: xi_t (..., n) per s.
-        overstress: sigma (..., b n) of b Maxwell branches, branch by branch, each as the strains.
+        overstress: sigma (..., b k) of b Maxwell branches, branch by branch, each as the k free strains.
         inputs: u (..., m) as they act at that moment.
     """
 
@@ -39,9 +39,14 @@ class Layout:
     n_joint: int = 0
 
     @property
+    def n_free(self) -> int:
+        """Number of free strains at all nodes, without joint coordinates."""
+        return self.n_strains - self.n_joint
+
+    @property
     def n_overstress(self) -> int:
-        """Number b n of entries of sigma."""
-        return self.n_branches * self.n_strains
+        """Number of entries of sigma."""
+        return self.n_branches * self.n_free
 
     @property
     def n_moving(self) -> int:

@@ -126,22 +126,27 @@ class Resolution(Rebuilt):
         """
         strains, rates, overstress, u = self.scene.layout.split(state)
         if self.scene.n_joint:  # its balance at rest has no slopes where the joint is free
-            return np.concatenate([self.interpolated(part) for part in (strains, rates, overstress)] + [u])
+            moved = [self.interpolated(part) for part in (strains, rates)]
+            return np.concatenate([*moved, self.interpolated(overstress, 0), u])
         xi, rates, overstress = (self.interpolated(part) for part in (strains, rates, overstress))
         force = self.interpolated(np.asarray(self._balance(strains, u)).ravel())
         root = self._root_near(xi, u, 0.0 if np.abs(force).max() < BALANCED else force)
         return np.concatenate([xi if root is None else root, rates, overstress, u])
 
-    def interpolated(self, values: Array) -> Array:
-        """Strains, their rates or overstress ``values`` (..., b n) at the nodes of the finer grid."""
-        blocks, joint = values.shape[-1] // self.scene.n_strains, self.scene.n_joint
-        each = values.reshape(*values.shape[:-1], blocks, self.scene.n_strains)
-        strains = each[..., : self.scene.n_strains - joint]
+    def interpolated(self, values: Array, joint: int | None = None) -> Array:
+        """Strains, their rates or overstress ``values`` (..., b n) at the nodes of the finer grid.
+
+        ``joint`` of each n entries are joint coordinates, those of the scene when not given, and stay as they are.
+        """
+        joint, free = self.scene.n_joint if joint is None else joint, self.scene.layout.n_free
+        blocks = values.shape[-1] // (free + joint)
+        each = values.reshape(*values.shape[:-1], blocks, free + joint)
+        strains = each[..., :free]
         at_nodes = strains.reshape(*values.shape[:-1], blocks, self.scene.nodes, self.scene.rod.strain_set.n_fields)
         finer = np.asarray(self.scene.rule.interpolate(self.finer.rule.nodes) @ at_nodes)
-        moved = finer.reshape(*values.shape[:-1], blocks, self.finer.n_strains - joint)
-        whole = np.concatenate([moved, each[..., self.scene.n_strains - joint :]], axis=-1)
-        return whole.reshape(*values.shape[:-1], blocks * self.finer.n_strains)
+        moved = finer.reshape(*values.shape[:-1], blocks, self.finer.layout.n_free)
+        whole = np.concatenate([moved, each[..., free:]], axis=-1)
+        return whole.reshape(*values.shape[:-1], blocks * (self.finer.layout.n_free + joint))
 
     def _root_near(self, xi: Array, u: Array, force: Array | float = 0.0) -> Array | None:
         """Strains (n,) of the finer grid near ``xi`` with the residual ``force``, None where the steps overflow."""

@@ -54,7 +54,7 @@ class Maxwell:
         if self.state not in loads.inputs:
             return
         free, n_nodes = motion.rod.strain_set.free, motion.rule.n_nodes
-        sigma = ca.reshape(loads.inputs[self.state][: len(free) * n_nodes], len(free), n_nodes)
+        sigma = ca.reshape(loads.inputs[self.state], len(free), n_nodes)
         stress = [ca.SX(1, n_nodes)] * 6
         for row, component in enumerate(free):
             stress[component] = ca.DM(motion.profile.stiffness[component]).T * sigma[row, :]
