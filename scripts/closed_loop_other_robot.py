@@ -56,7 +56,8 @@ def fitted(kind: str, data: Episodes, pairs: int | None, seed: int) -> Any:
 
 def rms(true: Array, log: Any) -> float:
     """RMS distance in mm of the true tip from the reference, once settled."""
-    missed = np.linalg.norm(true[:, list(log.tracked)] - log.reference, axis=1)
+    missed = true[:, list(log.tracked)] - log.reference
+    missed = np.linalg.norm(np.where(np.isnan(log.reference), 0.0, missed), axis=1)
     return float("inf") if log.stopped else 1e3 * float(np.sqrt(np.mean(missed[SETTLED:] ** 2)))
 
 

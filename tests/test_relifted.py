@@ -205,7 +205,6 @@ def test_what_needs_a_linear_step_says_so(fitted: ReliftedEDMDc) -> None:
         lambda: to_numpy(model),
         lambda: model.transition([0.0]),
         lambda: model.fixed_point([0.0]),
-        lambda: KalmanFilter(model, np.eye(3), 0.1),
     )
     for call in calls:
         with pytest.raises(ValueError, match="re-lifted"):
