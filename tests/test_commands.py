@@ -47,6 +47,88 @@ def test_tables_to_a_model_to_a_report_to_a_header(tmp_path: Path, capsys: pytes
     assert "static const" in (tmp_path / "model.h").read_text()
 
 
+def test_commands_in_files_of_their_own_and_other_words_of_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the words say is what ``from_csv`` reads with them: the fitted models are the same."""
+    for k in range(3):
+        table(tmp_path / "all.csv", k)
+        rows = np.loadtxt(tmp_path / "all.csv", delimiter=",", skiprows=1)
+        head = "t;x;v"
+        text = [";".join(f"{c!r}".replace(".", ",") for c in row) for row in (rows[:, :3] * [1e3, 1e3, 1.0]).tolist()]
+        (tmp_path / f"run{k}.csv").write_text("\n".join([head, *text]) + "\n")
+        sent = [f"{1e3 * (t + 0.05):.0f};{u!r}" for t, u in rows[:, [0, 3]].tolist()]  # stamped 50 ms late
+        (tmp_path / f"servo{k}.csv").write_text("\n".join(["stamp;pull", *sent]) + "\n")
+    words = [
+        "--time-unit",
+        "ms",
+        "--state-units",
+        "mm",
+        "m/s",
+        "--delimiter",
+        ";",
+        "--max-gap",
+        "0.2",
+    ]
+    words += ["--commands", str(tmp_path / "servo*.csv"), "--command-time", "stamp", "--command-shift", "-0.05"]
+    lean = ["--candidates", "L-EDMDc", "--out", str(tmp_path / "m.h5"), "--json"]
+    files = str(tmp_path / "run*.csv")
+    assert main(["identify", files, "--states", "x", "v", "--inputs", "pull", *words, *lean]) == 0
+    capsys.readouterr()
+    d1 = ps.Episodes.from_csv(
+        files,
+        "t",
+        ["x", "v"],
+        ["pull"],
+        time_unit="ms",
+        state_units=["mm", "m/s"],
+        commands=str(tmp_path / "servo*.csv"),
+        command_time="stamp",
+        command_shift=-0.05,
+        max_gap=0.2,
+    )
+    wanted = ps.identify(d1, candidates=["L-EDMDc"], progress=False).lifted
+    found = ps.LiftedModel.load(tmp_path / "m.h5")
+    np.testing.assert_allclose(found.A, wanted.A, atol=1e-12)
+    assert found.state_units == ("m", "m/s") and found.input_names == ("pull",)
+
+
+def test_matlab_files_and_headless_tables_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from scipy.io import savemat
+
+    table(tmp_path / "run.csv", 0)
+    rows = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
+    savemat(tmp_path / "run.mat", {"t": 50.0 * np.arange(len(rows)), "q": rows[:, 1:3], "u": rows[:, 3]})
+    np.savetxt(tmp_path / "bare.csv", rows[:, 1:], delimiter=",")
+    lean = ["--candidates", "L-EDMDc", "--out", str(tmp_path / "m.h5")]
+    models, bare = [], ["--names", "a", "b", "c"]
+    for argv in (
+        [str(tmp_path / "run.mat"), "--states", "q", "--inputs", "u", "--time-unit", "ms"],
+        [str(tmp_path / "bare.csv"), "--states", "a", "b", "--inputs", "c", "--no-time", "--dt", "0.05", *bare],
+    ):
+        assert main(["identify", *argv, *lean]) == 0, capsys.readouterr().err
+        models.append(ps.LiftedModel.load(tmp_path / "m.h5"))
+    np.testing.assert_allclose(models[0].A, models[1].A, atol=1e-9)
+    odd = ["identify", str(tmp_path / "run.mat"), "--states", "q", "--inputs", "u", "--decimal", ",", *lean]
+    assert main(odd) == 1
+    assert "--decimal is a word of CSV files" in capsys.readouterr().err
+    limits = [
+        "identify",
+        str(tmp_path / "run.csv"),
+        "--states",
+        "x",
+        "--inputs",
+        "u",
+        "--range",
+        "x",
+        "0",
+        "low",
+        *lean,
+    ]
+    assert main(limits) == 1
+    assert "has a limit that is no number" in capsys.readouterr().err
+
+
 def test_what_does_not_work_is_one_line_and_a_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table(tmp_path / "run.csv", 0)
     for argv, said in (

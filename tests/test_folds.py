@@ -79,15 +79,28 @@ def test_one_recording_is_cut_into_stretches_of_time_that_no_pair_of_their_fold_
 
 
 @pytest.mark.parametrize("delays", [0, 2])
-def test_a_horizon_cuts_roll_outs_that_follow_one_another(delays: int) -> None:
+def test_a_horizon_cuts_roll_outs_that_begin_five_times_a_horizon(delays: int) -> None:
     d1 = recordings([40, 23])
-    first, second = make_folds(d1, d1.pairs(delays), delays, 3, horizon=10)
-    assert [len(u) for u in first.episodes.us] == [10 + delays] * 3  # 37 steps after the history of three
-    assert [len(u) for u in second.episodes.us] == [10 + delays] * 2
+    made = {fold.numbers: fold for fold in make_folds(d1, d1.pairs(delays), delays, 3, horizon=10, folds=2)}
+    first, second = made[0,], made[1,]
+    assert [len(u) for u in first.episodes.us] == [10 + delays] * 14  # 37 steps after the history of three
+    assert [len(u) for u in second.episodes.us] == [10 + delays] * 6
     for j, (x, u) in enumerate(zip(first.episodes.xs, first.episodes.us, strict=True)):
-        begin = 3 + 10 * j - delays
+        begin = 3 + 2 * j - delays
         assert_array_equal(x, d1.xs[0][begin : begin + 11 + delays])
         assert_array_equal(u, d1.us[0][begin : begin + 10 + delays])
+
+
+def test_with_a_horizon_halves_of_few_recordings_are_held_out() -> None:
+    d1 = recordings([40, 23])
+    pairs = d1.pairs(1)
+    made = make_folds(d1, pairs, 1, 2, horizon=10)  # the second one is too short for 12 steps in each half
+    assert [fold.name for fold in made] == ["recording 0, steps 0 to 20", "recording 0, steps 20 to 40", "recording 1"]
+    held = [~fold.kept for fold in made]
+    assert (np.sum(held, axis=0) == 1).all()
+    assert pairs.index[held[1]].min() == 20 and set(pairs.episode[held[1]]) == {0}
+    assert_array_equal(made[1].episodes.xs[0], d1.xs[0][21 : 20 + 13])  # history of one before the step 22
+    assert len(make_folds(recordings([40] * 10), recordings([40] * 10).pairs(1), 1, 2, horizon=10)) == 5
 
 
 @pytest.mark.parametrize("rested", [False, True])
@@ -192,11 +205,12 @@ def pendulum(n: int, seed: int, steps: int = 150) -> Episodes:
     return Episodes(xs, us, dt)
 
 
-def test_roll_outs_of_limited_length_choose_for_an_unstable_plant() -> None:
+@pytest.mark.parametrize("seed", [0, 8])
+def test_roll_outs_of_limited_length_choose_for_an_unstable_plant(seed: int) -> None:
     """The error ten steps ahead is within 1.2 times that of the best alpha of the grid."""
-    d1, test = pendulum(4, 0), pendulum(6, 1)
+    d1, test = pendulum(4, seed), pendulum(6, seed + 100)
     columns = Dictionary(ob.Constant(), ob.States(), ob.Inputs(), ob.Polynomials(3), n_states=2, n_inputs=1)
-    pairs = d1.pairs().sample(40, 0)
+    pairs = d1.pairs().sample(40, seed)
     ridges = np.logspace(-10, 1, 12).tolist()
     model = LinearEDMDc(columns, alpha="cv", alphas=ridges, cv_horizon=10).fit(d1, pairs)
 

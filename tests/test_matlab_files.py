@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,67 @@ def test_an_array_of_structures_is_read_from_version_5_too(tmp_path: Path) -> No
     in_two(Episodes.from_mat(tmp_path / "run.mat", "many.t", "many.x", "many.u"))
 
 
+def message(path: Path, *ask: str) -> str:
+    """The one line that a file is refused with."""
+    with pytest.raises(ValueError) as error:
+        Episodes.from_mat(path, None, *(ask or ("x",)), [], dt=0.1)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def element(kind: int, content: bytes) -> bytes:
+    """An element of a MATLAB 5 file: tag, content, zeros to the next multiple of eight."""
+    return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+
+def opaque(name: str, kind: str) -> bytes:
+    """A table, or another object, as MATLAB writes it to files of version 5 (class 17, its data in another place)."""
+    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+    data = element(14, numbers + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)))
+    words = b"".join(element(1, word.encode()) for word in (name, "MCOS", kind))
+    return element(14, element(6, struct.pack("<II", 17, 0)) + words + data)
+
+
+@pytest.mark.parametrize(
+    ("kind", "does"),
+    [
+        ("table", "S = table2struct(log, 'ToScalar', true); save('run.mat', '-struct', 'S'), or writetable(log"),
+        ("timetable", "S.t = seconds(log.Properties.RowTimes - log.Properties.RowTimes(1))"),
+        ("duration", "t = seconds(log); save t"),
+        ("datetime", "t = seconds(log - log(1))"),
+        ("string", "c = cellstr(log)"),
+        ("Robot", "save its numbers as matrices"),
+    ],
+)
+def test_objects_of_version_5_are_named_and_what_to_do_in_matlab(tmp_path: Path, kind: str, does: str) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"x": X})
+    path.write_bytes(path.read_bytes() + opaque("log", kind))
+    assert Episodes.from_mat(path, None, "x", [], dt=0.1).n_states == 3  # what is beside it is read
+    said = message(path, "log")
+    assert said.startswith(f"'log' in {path} is a {kind}, which only MATLAB reads: there ") and does in said
+
+
+def test_why_a_file_is_not_read_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"x": X})
+    version_5 = path.read_bytes()
+    savemat(path, {"x": X}, format="4")
+    version_4 = path.read_bytes()
+    for content, said in (
+        (b"", "is empty"),
+        (version_5[: len(version_5) // 2], "is a MATLAB file that is damaged or was cut short; copy it again"),
+        (version_5[:200], "is a MATLAB file that is damaged or was cut short"),
+        (version_4[:60], "is a damaged MATLAB file of version 4, or none"),
+        (b"t,x,u\n0.0,1.0,2.0\n", "is no MATLAB file but text; read a table by Episodes.from_csv"),
+        (b"PK\x03\x04" + bytes(40), "is no MATLAB file but an Excel workbook"),
+        (b"\x93NUMPY\x01\x00" + bytes(40), "is no MATLAB file but one of NumPy"),
+        (bytes(range(200, 256)), "is no MATLAB file; save it with '-v7'"),
+    ):
+        path.write_bytes(content)
+        assert said in message(path), content[:20]
+
+
 def test_runs_of_different_number_and_objects_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     savemat(path, {"t": cells(T, T), "x": cells(X, X, X), "u": cells(U, U)})
@@ -142,6 +204,7 @@ def test_runs_of_different_number_and_objects_are_refused(tmp_path: Path) -> Non
         data.attrs["MATLAB_class"], data.attrs["MATLAB_object_decode"] = np.bytes_("timetable"), 3
     with pytest.raises(ValueError, match=r"'log' in .* is a timetable, which only MATLAB reads: .* writetimetable"):
         Episodes.from_mat(path, None, "log", [], dt=0.1)
+    assert "S = table2struct(timetable2table(log, 'ConvertRowTimes', false), 'ToScalar', true)" in message(path, "log")
     path.write_bytes(path.read_bytes()[:700])
     with pytest.raises(ValueError, match="damaged, or no MATLAB file"):
         Episodes.from_mat(path, "t", "x", "u")

@@ -142,7 +142,7 @@ def test_what_does_not_meet_is_one_line(tmp_path: Path, change: dict[str, Any], 
 def test_a_shift_without_commands_apart_is_refused(tmp_path: Path) -> None:
     written(tmp_path)
     with pytest.raises(ValueError, match="give commands="):
-        Episodes.from_csv(tmp_path / "run0.csv", "t", ["x", "v"], [], command_shift=0.1)
+        Episodes.from_csv(tmp_path / "run0.csv", "t", ["x", "v"], [], command_time="stamp")
 
 
 @pytest.mark.parametrize("delay", [-3, 0, 2, 5])

@@ -34,18 +34,20 @@ NO_ACTUATOR = Actuator()
 EQUATIONS = 4
 
 
-def random_displacements(arm: Arm, steps: int, rng: np.random.Generator, law: str = "zero-sum") -> Array:
+def random_displacements(
+    arm: Arm, steps: int, rng: np.random.Generator, law: str = "zero-sum", hold: int = STEPS_PER_TARGET
+) -> Array:
     """Smooth random displacements (steps, m) in m between random targets of ``law`` (:func:`random_targets`).
 
-    A new target every 16 steps, a raised cosine in between. It starts with the arm at rest.
+    A new target every ``hold`` steps, a raised cosine in between. It starts with the arm at rest.
 
     ``arm`` gives rest and amplitude, ``rng`` draws.
     """
     count(steps, "steps")
-    knots = -(-steps // STEPS_PER_TARGET) + 1
+    knots = -(-steps // count(hold, "hold")) + 1
     targets = random_targets(arm, knots, rng, law)
     targets[0] = arm.rest_inputs
-    phase = np.arange(1, steps + 1) / STEPS_PER_TARGET
+    phase = np.arange(1, steps + 1) / hold
     before = np.minimum(phase.astype(int), knots - 2)
     blend = 0.5 - 0.5 * np.cos(np.pi * (phase - before))[:, None]
     moves: Array = targets[before] * (1.0 - blend) + targets[before + 1] * blend

@@ -36,7 +36,8 @@ def from_mat(
     options         as in :func:`pisplit.data.recordings.from_arrays`
 
     Raises FileNotFoundError, PermissionError, and ValueError for missing variables, those that hold no real numbers,
-    tables and timetables (which only MATLAB reads), runs of different number, and files of another format.
+    tables, timetables and other objects (which only MATLAB reads; the words that make matrices of them there are told),
+    runs of different number, and files that are damaged or of another format.
     """
     source = Path(path)
     groups = [[names] if isinstance(names, str) else list(names) for names in (states, inputs)]

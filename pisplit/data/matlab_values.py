@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +11,36 @@ from typing import Any
 import h5py
 import numpy as np
 
-#: What only MATLAB reads.
-OBJECTS = ("table", "timetable", "datetime", "duration", "timeseries", "string", "containers.Map")
+from pisplit.data.text import OTHERS
+
+#: What only MATLAB reads, and what makes of it there, under the name {0}, what anyone reads.
+OBJECTS = {
+    "table": "S = table2struct({0}, 'ToScalar', true); save('run.mat', '-struct', 'S'), or writetable({0}, 'run.csv')",
+    "timetable": "S = table2struct(timetable2table({0}, 'ConvertRowTimes', false), 'ToScalar', true); "
+    "S.t = seconds({0}.Properties.RowTimes - {0}.Properties.RowTimes(1)); save('run.mat', '-struct', 'S'), "
+    "or writetimetable({0}, 'run.csv')",
+    "datetime": "t = seconds({0} - {0}(1)); save t",
+    "duration": "t = seconds({0}); save t",
+    "timeseries": "t = {0}.Time; x = {0}.Data; save t and x",
+    "string": "c = cellstr({0}); save c",
+    "containers.Map": "c = values({0}); save c",
+}
+OTHER = "save its numbers as matrices, or a table as CSV by writetable or writetimetable"
 HDF5_FROM = 512
+#: What scipy raises for damaged files.
+DAMAGE = (
+    ValueError,
+    NotImplementedError,
+    TypeError,
+    OSError,
+    IndexError,
+    KeyError,
+    EOFError,
+    OverflowError,
+    zlib.error,
+)
+#: Numbers of types in the first word of a file of version 4 are at most this.
+VERSION_4 = 4052
 
 
 def load(source: Path, wanted: Sequence[str]) -> dict[str, Any]:
@@ -28,23 +57,48 @@ def load(source: Path, wanted: Sequence[str]) -> dict[str, Any]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabOpaque, MatReadError
 
-    with source.open("rb") as file:
+    with source.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of several objects, which all have the name None
         try:
-            content: Mapping[str, Any] = loadmat(file, variable_names=list(wanted), simplify_cells=True)
-        except (MatReadError, ValueError, NotImplementedError, TypeError, OSError):  # scipy's, for damage
-            raise ValueError(f"{source} is no MATLAB file; save it with '-v7'") from None
+            content: Mapping[str, Any] = loadmat(file, variable_names=[*wanted, "None"], simplify_cells=True)
+        except (*DAMAGE, MatReadError):
+            raise ValueError(f"{source} {_fault(start, source.stat().st_size)}") from None
+    hidden = content.get("None")  # where scipy puts objects, which say their name and class themselves
     found = {name: content[name] for name in wanted if name in content}
+    if isinstance(hidden, MatlabOpaque) and (len(found) < len(wanted) or "None" in wanted):
+        name, _, kind = (_text(hidden[0][key]) for key in ("s0", "s1", "s2"))
+        raise _object(name if name in wanted else next(n for n in wanted if n not in content), source, kind)
     for name, value in found.items():
         if isinstance(value, MatlabOpaque) or (getattr(value, "dtype", None) is not None and value.dtype.names):
             raise _object(name, source)
     return {name: _plain(value) for name, value in found.items()}
 
 
-def _object(name: str, source: Path, kind: str = "table or another object") -> ValueError:
-    return ValueError(
-        f"{name!r} in {source} is a {kind}, which only MATLAB reads: save its columns as matrices, or as CSV by "
-        f"writetimetable"
-    )
+def _object(name: str, source: Path, kind: str = "object") -> ValueError:
+    what = OBJECTS.get(kind, OTHER).format(name)
+    return ValueError(f"{name!r} in {source} is a {kind}, which only MATLAB reads: there {what}")
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def _fault(start: bytes, size: int) -> str:
+    """What is wrong with a file of ``size`` bytes that begins with ``start`` and that scipy does not read."""
+    if size == 0:
+        return "is empty"
+    if start.startswith(b"MATLAB"):
+        return "is a MATLAB file that is damaged or was cut short; copy it again, or save it again with '-v7'"
+    for beginning, what in OTHERS.items():
+        if start.startswith(beginning):
+            return f"is no MATLAB file but {what}"
+    if start.startswith(b"\x93NUMPY"):
+        return "is no MATLAB file but one of NumPy; give np.load's arrays to Episodes.from_arrays"
+    if start.isascii() and start.replace(b"\r", b"").replace(b"\n", b"").replace(b"\t", b"").decode().isprintable():
+        return "is no MATLAB file but text; read a table by Episodes.from_csv"
+    if len(start) >= 20 and any(0 <= int.from_bytes(start[:4], end) <= VERSION_4 for end in ("little", "big")):
+        return "is a damaged MATLAB file of version 4, or none; save it again with '-v7'"
+    return "is no MATLAB file; save it with '-v7'"
 
 
 def _plain(value: Any) -> Any:

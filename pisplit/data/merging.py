@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pisplit.checks import finite_number
 from pisplit.data import clock
 from pisplit.data.joining import Table, from_columns
+from pisplit.data.late_commands import said
 from pisplit.data.latency import Latency, find_latency
 from pisplit.data.warning import warn
 
@@ -59,7 +60,7 @@ def from_two_clocks(
 
     def fields(shift: float, more: Mapping[str, Any]) -> dict[str, Any]:
         merged = [_merged(s, c, units, shift) for s, c in zip(sensors, paired, strict=True)]
-        return from_columns(merged, states, inputs, {**plain, **more})
+        return from_columns(merged, states, inputs, {**plain, **more, "command_shift": 0.0})
 
     ranges = {"ranges": options["ranges"]} if "ranges" in options else {}
     first = fields(known or 0.0, ranges)
@@ -88,12 +89,7 @@ def _shift(latency: Latency, dt: float) -> tuple[float, str | None]:
             f"the motion comes {-late:.0f} ms (within {within:.0f} ms) before its commands: these are moved by that; "
             f"command_shift={latency.delay:.3g} says it, a shift that is known is better"
         )
-    if latency.delay > max(latency.error, dt):
-        return 0.0, (
-            f"the motion follows its commands by {late:.0f} ms (within {within:.0f} ms): of the robot, which MPC takes "
-            f"as command_delay={latency.delay / dt:.2g}, or of clocks, which command_shift={latency.delay:.3g} mends"
-        )
-    return 0.0, None
+    return 0.0, said(latency, dt) or None
 
 
 def _silently(made: Callable[[], dict[str, Any]]) -> dict[str, Any]:

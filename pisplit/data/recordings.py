@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import one_of, positive, real_array
-from pisplit.data import clock, recording_checks, resampling, screening
+from pisplit.checks import finite_number, one_of, positive, real_array
+from pisplit.data import clock, late_commands, recording_checks, resampling, screening
 from pisplit.data.columns import default_names, labels, table_columns
 from pisplit.data.resampling import BRIDGED, Signal
 from pisplit.data.units import columns_to_si
@@ -42,6 +43,7 @@ def from_arrays(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     episode: ArrayLike | None = None,
     screen: Sequence[str] = screening.KINDS,
+    command_shift: float | None = None,
     **fields: Any,
 ) -> dict[str, Any]:
     """Fields of :class:`pisplit.Episodes`, by name, of a recording: its samples, brought to steps of one length.
@@ -62,13 +64,17 @@ def from_arrays(
     screen         which readings are none, are taken for missing and warned of: "zeros" of lost tracking, in several
                    states at once and far from the readings beside (also an extreme value that comes back), and
                    "stalls", readings repeated to the last digit while the inputs move; () keeps all
+    command_shift  [s] that is added to the times of the inputs, for commands whose stamps are late (negative) or early;
+                   None: none, and where the motion comes before its commands, or follows them by more than a step,
+                   this is said. A number says that it is known
     fields         state_names, input_names, quantities, units (of states whose unit has no factor to SI), outputs and
                    provenance of :class:`pisplit.Episodes`
 
-    ``provenance`` counts what was read and lost; "starts" are the times [s] at which the episodes begin.
+    ``provenance`` counts what was read and lost; "starts" are the times [s] at which the episodes begin, "latency" is
+    the delay [s] from commands to motion that was found where ``command_shift`` was not given.
 
-    Warns of readings that were screened, where more than 5 % of the samples are in no episode, and where dt or spacings
-    do not look like one clock.
+    Warns of readings that were screened, of commands that are late or early, where more than 5 % of the samples are in
+    no episode, and where dt or spacings do not look like one clock.
     Raises ValueError for times that do not increase, numbers that are infinite, unknown units, readings out of range,
     a dt a hundred times below the spacing, and if nothing is left.
     """
@@ -92,7 +98,8 @@ def from_arrays(
     states = screened.states
     if ranges:
         recording_checks.check_ranges(ranges, [*names[0], *names[1]], np.hstack([states, inputs]), times)
-    signals = [_signals(times[rows], states[rows], inputs[rows]) for rows in members.values()]
+    shift = 0.0 if command_shift is None else finite_number(command_shift, "command_shift")
+    signals = [_signals(times[rows], states[rows], inputs[rows], shift) for rows in members.values()]
     recording_checks.check_read(signals, names)
     step = _step(dt, [run for run, _ in signals], names[0], told=t is None or time_unit is not None)
     gap = None if max_gap is None else positive(max_gap, "max_gap", "s")
@@ -112,6 +119,7 @@ def from_arrays(
             kept += int(((times[rows] >= grid[0]) & (times[rows] < grid[-1] + step)).sum())
     recording_checks.say_what_is_lost(len(xs), short, kept, states, inputs, times, names, step)
     recording_checks.say_how_it_is_cut(cut, [run for run, _ in signals], names[0], step, gap)
+    lag = late_commands.found(xs, us, step) if command_shift is None else {"command_shift": shift}
     missing = ~(np.isfinite(states).all(axis=1) & np.isfinite(inputs).all(axis=1) & np.isfinite(times))
     origin = {
         "samples": len(times),
@@ -122,6 +130,7 @@ def from_arrays(
         "interpolation": interpolation,
         "starts": [float(grid[0]) for grid in cut],
         **({"screened": screened.found} if screened.found else {}),
+        **lag,
         **({} if episode is None else {"runs": labels_of}),
     }
     units = {"units": fields.get("units") or state_si, "input_units": input_si}
@@ -141,8 +150,12 @@ def _in_si(values: Array, units: str | Sequence[str] | None, what: str) -> tuple
     return values if (factors == 1.0).all() else values * factors, names
 
 
-def _signals(times: Array, states: Array, inputs: Array) -> tuple[list[Signal], list[Signal]]:
-    return resampling.signals(times, states), resampling.signals(times, inputs)
+def _signals(times: Array, states: Array, inputs: Array, shift: float) -> tuple[list[Signal], list[Signal]]:
+    read, sent = resampling.signals(times, states), resampling.signals(times + shift, inputs)
+    if shift < 0.0 and len(times):  # nothing is known of the commands after the last one
+        ends = times.max() + shift * (1.0 - 1e-9)
+        read = [replace(s, times=s.times[s.times <= ends], values=s.values[s.times <= ends]) for s in read]
+    return read, sent
 
 
 def _step(dt: float | None, runs: Sequence[Sequence[Signal]], names: Sequence[str], told: bool = True) -> float:

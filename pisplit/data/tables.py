@@ -55,7 +55,8 @@ def from_csv(
     command_time_unit   unit of the times there, where their file names none; default: ``time_unit`` if that is a text,
                     or s
     command_shift   [s] that is added to the times of commands; default: found from the data where the motion comes
-                    before its commands; how far it follows them is warned of, and stands in ``provenance``
+                    before the commands of files of their own; commands in the same file keep their times, and this is
+                    warned of. How far the motion follows its commands is warned of, and stands in ``provenance``
     options         as in :func:`pisplit.data.recordings.from_arrays`. Units that the file names, in brackets behind a
                     name or in a row below, count where ``state_units``, ``input_units``, ``time_unit`` are not given;
                     "" takes numbers as they are
@@ -88,12 +89,12 @@ def from_csv(
         sent = [table(file, other, groups[1], None, *more) for file in files_of(commands)]
         told = (command_time_unit, command_shift)
         return merging.from_two_clocks(sensors, sent, groups[0], groups[1], told, options)
-    if any(given is not None for given in (command_time, command_time_unit, command_shift)):
-        raise ValueError("command_time, _time_unit and _shift are of commands in files of their own; give commands=")
+    if command_time is not None or command_time_unit is not None:
+        raise ValueError("command_time and _time_unit are of commands in files of their own; give commands=")
     read = [
         table(file, clock, [*groups[0], *groups[1]], episode, delimiter, names, decimal, encoding) for file in files
     ]
-    return from_columns(read, groups[0], groups[1], options)
+    return from_columns(read, groups[0], groups[1], {**options, "command_shift": command_shift})
 
 
 def table(

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 
 from pisplit.observables import Columns, Names
+from pisplit.observables.own_errors import is_of_casadi
 
 #: Scalar instructions from which matrix instructions are tried, and how many times fewer they must be.
 LARGE, FEWER = 20_000, 100
@@ -36,7 +37,7 @@ def compile_part(
     writers  functions of the symbol and ``names`` that write the columns of one observable, or None for no columns
     names    of states and inputs
 
-    Raises ValueError for columns that CasADi cannot write.
+    Raises ValueError for columns that CasADi cannot write. Errors of the writers' own are theirs, from the first call.
     """
     try:
         scalar = _as(ca.SX, letter, size, writers, names)
@@ -44,11 +45,15 @@ def compile_part(
             return scalar
         whole = _as(ca.MX, letter, size, writers, names)
         return whole if FEWER * whole.function.n_instructions() < scalar.function.n_instructions() else scalar
-    except (RuntimeError, NotImplementedError):
-        pass  # CasADi's two ways to say that a Function inside (a rootfinder, an interpolant) takes no SX
+    except (RuntimeError, NotImplementedError) as error:
+        if not is_of_casadi(error):
+            raise
+        # CasADi's two ways to say that a Function inside (a rootfinder, an interpolant) takes no SX
     try:
         return _as(ca.MX, letter, size, writers, names)
-    except RuntimeError as error:
+    except (RuntimeError, NotImplementedError) as error:
+        if not is_of_casadi(error):
+            raise
         reason = str(error).strip().splitlines()[-1]
         raise ValueError(f"an observable of {letter} ({size},) cannot be written in CasADi: {reason}") from None
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
-from pisplit.checks import count
+from pisplit.checks import count, one_of
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
@@ -15,11 +15,14 @@ from pisplit.estimators.base import GRIDS, Equilibria, Estimator, check_options
 from pisplit.regression import check_penalty
 from pisplit.splitting import Direct, SplitContext
 
+#: What the penalty pulls K to.
+TOWARD = ("zero", "identity")
+
 _D = TypeVar("_D", bound="DirectEDMDc")
 
 
 class DirectEDMDc(Estimator):
-    """K = argmin |K Theta(X, U) - psi(X')|^2 + alpha |K| (paper, eq. discrete-time-koop), from pairs alone.
+    """K = argmin |K Theta(X, U) - psi(X')|^2 + alpha |K - prior| (paper, eq. discrete-time-koop), from pairs alone.
 
     theta      dictionary
     alpha      weight of the penalty, or "cv": chosen on roll-outs of held-out training episodes
@@ -40,11 +43,13 @@ class DirectEDMDc(Estimator):
     cv_horizon  steps of the roll-outs that choose alpha; None: to the end of recordings. Give a few steps, as many as a
                controller looks ahead, where the plant is unstable: small errors grow there whatever the model
     cv_folds   number of folds (:func:`pisplit.estimators.folds.make_folds`). None: fewer than ten recordings are held
-               out in turn, more in five folds, one recording in five stretches of time; where four or more recordings
-               hold no pair, these alone. 1: held out once, the cheapest
+               out in turn (with ``cv_horizon`` each half of them), more in five folds, one recording in five stretches
+               of time; where four or more recordings hold no pair, these alone. 1: held out once, the cheapest
     instruments  number of earlier samples that serve as instrumental variables: noise on the states then no longer
                pulls eigenvalues toward zero; 0 is ordinary least squares, 3 a good number where states are noisy
                (:func:`pisplit.estimators.instruments.instrumented_moments` says when it helps)
+    toward     what the penalty pulls K to: "zero", or "identity", "nothing moves": every learned column stays as it is.
+               The step of a slow system is close to it whatever the data say
     """
 
     def __init__(
@@ -62,10 +67,12 @@ class DirectEDMDc(Estimator):
         instruments: int = 0,
         cv_horizon: int | None = None,
         cv_folds: int | None = None,
+        toward: str = "zero",
     ) -> None:
         check_options(theta, alpha, scale, alphas, cv_tolerance, max_radius, cv_states, cv_horizon, cv_folds)
         check_penalty(penalty, solver, relative)
         count(instruments, "instruments", minimum=0)
+        one_of(toward, "toward", TOWARD)
         self.theta = theta
         self.alpha = alpha
         self.penalty = penalty
@@ -79,6 +86,7 @@ class DirectEDMDc(Estimator):
         self.max_radius = max_radius
         self.solver = solver
         self.instruments = instruments
+        self.toward = toward
 
     def fit(
         self: _D,
@@ -106,6 +114,7 @@ class DirectEDMDc(Estimator):
             penalty=self.penalty,
             solver=self.solver,
             relative=self.relative,
+            toward=self.toward,
         )
         return self._keep(problem, self._choose(problem, Direct(context).fit, GRIDS[self.penalty]))
 

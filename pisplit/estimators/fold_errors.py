@@ -30,8 +30,9 @@ ADVICE = ("; or set cv_horizon to the steps you need, as for unstable plants", "
 class RolloutVerdict:
     """Held-out roll-outs of one model on one fold, squared errors in scaled states.
 
-    error     median over all steps; of roll-outs of limited length their mean at the last step, which is what
-              ``horizon_errors`` measures: what grows from step to step is not judged by its beginning
+    error     median over all steps; of roll-outs of limited length the square of their mean error at the last step:
+              what grows from step to step is not judged by its beginning, and few roll-outs through states that the
+              pairs do not reach do not decide alone
     early     the same for the first part of every roll-out, one for each of ``PARTS``; infinite if it diverged there
     diverged  whether one of them diverged
     """
@@ -51,7 +52,7 @@ def judged(model: LiftedModel, fold: Fold, states: States, weights: Array) -> Ro
 
 def _typical(squared: Sequence[Array], fold: Fold) -> float:
     if fold.horizon is not None:
-        return float(np.mean([e[-1] for e in squared]))
+        return float(np.mean([np.sqrt(e[-1]) for e in squared]) ** 2)
     values = np.concatenate(squared)
     return float(np.partition(values, (len(values) - 1) // 2)[(len(values) - 1) // 2])
 

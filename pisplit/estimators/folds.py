@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.input_subspace import combination
-from pisplit.evaluation.splits import FOLDS, default_folds, episode_groups
+from pisplit.evaluation.splits import FOLDS, LEAVE_ONE_OUT, default_folds, episode_groups
 from pisplit.regression.moments import Moments, joined
 
 Array = NDArray[np.float64]
@@ -21,6 +22,8 @@ MAX_HELD_OUT = 4
 #: Spread of an input direction, in parts of that of all recordings, up to which training pairs do not know it, and
 #: from which on held-out recordings move it.
 UNSEEN, MOVED = 0.1, 0.3
+#: Roll-outs of limited length begin so many times a horizon: each alone is a matter of chance.
+OVERLAP = 5
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,8 @@ def make_folds(
     start    steps at the beginning of a recording that are history: at least ``delays``, equal for models to compare
     horizon  steps of a roll-out; None: to the end
     folds    their number; 1 holds out a fifth of the recordings once (of one recording the last third). None: each of
-             fewer than 10 recordings in turn, five folds of more; where at least four recordings have no pair, these
+             fewer than 10 recordings in turn (with a ``horizon`` each half of them, so that more is left to learn
+             from), five folds of more; where at least four recordings have no pair, these
              alone; of one recording five stretches of time
 
     Raises ValueError, in one line, for data of which nothing can be held out.
@@ -70,6 +74,8 @@ def make_folds(
         groups = [order[: min(MAX_HELD_OUT, max(1, len(order) // 5, unused))]]
     elif len(long_enough) < 2:
         groups = [long_enough]
+    elif folds is None and horizon is not None and len(long_enough) < LEAVE_ONE_OUT:
+        return _halves(cut, pairs, long_enough)
     else:
         wanted = min(folds or default_folds(len(long_enough)), len(long_enough))
         parts = [[long_enough[i] for i in part] for part in episode_groups(len(long_enough), wanted)]
@@ -87,6 +93,25 @@ def make_folds(
     return tuple(made)
 
 
+def _halves(cut: _Cut, pairs: Pairs, numbers: Sequence[int]) -> tuple[Fold, ...]:
+    """Folds over the halves of recordings, those whole that are too short for a horizon in each."""
+    made = []
+    for i in numbers:
+        steps, wanted = len(cut.d1.us[i]), 2 * (cut.start + (cut.horizon or 0))
+        edges = [0, steps // 2, steps] if steps >= wanted else [0, steps]
+        for first, last in pairwise(edges):
+            kept = ~((pairs.episode == i) & (pairs.index >= first) & (pairs.index < last))
+            if not kept.any():
+                continue
+            training = pairs if kept.all() else pairs.take(kept)
+            name = f"recording {i}" + (f", steps {first} to {last}" if len(edges) > 2 else "")
+            unseen = _unseen(cut.d1, (i,), training)
+            made.append(Fold(training, kept, cut.stretch(i, first, last), (i,), name, cut.horizon, unseen))
+    if not made:
+        raise ValueError("alpha='cv' has no pairs left beside the held-out episodes; give more episodes, or alpha")
+    return tuple(made)
+
+
 def _stretches(cut: _Cut, pairs: Pairs, folds: int | None) -> tuple[Fold, ...]:
     """Folds over stretches of the one recording; those without a pair alone where they are the larger part."""
     steps = len(cut.d1.us[0])
@@ -99,7 +124,9 @@ def _stretches(cut: _Cut, pairs: Pairs, folds: int | None) -> tuple[Fold, ...]:
         kept = np.asarray((pairs.index < first) | (pairs.index >= last))
         if kept.any() and last - first > cut.start:
             training = pairs if kept.all() else pairs.take(kept)
-            made.append(Fold(training, kept, cut.stretch(first, last), (0,), f"steps {first} to {last}", cut.horizon))
+            made.append(
+                Fold(training, kept, cut.stretch(0, first, last), (0,), f"steps {first} to {last}", cut.horizon)
+            )
     untouched = [fold for fold in made if fold.training is pairs]
     if not made or (len(made) == 1 and folds != 1):
         raise ValueError("alpha='cv' needs more data: one episode is too short to hold out a part of it; give alpha")
@@ -120,8 +147,8 @@ class _Cut:
             return self.d1.subset(names)
         return self._of([(self.d1.xs[i], self.d1.us[i]) for i in names])
 
-    def stretch(self, first: int, last: int) -> Episodes:
-        return self._of([(self.d1.xs[0][first : last + 1], self.d1.us[0][first:last])])
+    def stretch(self, i: int, first: int, last: int) -> Episodes:
+        return self._of([(self.d1.xs[i][first : last + 1], self.d1.us[i][first:last])])
 
     def _of(self, runs: list[tuple[Array, Array]]) -> Episodes:
         xs, us = [], []
@@ -132,10 +159,10 @@ class _Cut:
         return replace(self.d1, xs=xs, us=us, extra={})
 
     def _windows(self, steps: int) -> list[tuple[int, int]]:
-        """First and last step of each roll-out: one, or as many full horizons as there are."""
+        """First and last step of each roll-out: one, or full horizons that begin a fifth of one after another."""
         if self.horizon is None or steps - self.start <= self.horizon:
             return [(self.start, steps)]
-        starts = range(self.start, steps - self.horizon + 1, self.horizon)
+        starts = range(self.start, steps - self.horizon + 1, max(1, self.horizon // OVERLAP))
         return [(first, first + self.horizon) for first in starts]
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from pisplit import Episodes, LiftedModel, TendonArm, __version__, identify, references, to_c_header
 from pisplit.front.report import Report
+from pisplit.front.words import add_words, of_tables
 
 ARMS = {"paper": TendonArm.paper, "prototype": TendonArm.prototype}
 FAILED, STOPPED = 1, 3
@@ -50,11 +51,8 @@ def parser() -> argparse.ArgumentParser:
     record.add_argument("--seed", type=int, default=0)
     record.add_argument("--out", type=Path, required=True, help="HDF5 file")
     fit = command("identify", _identify, "the best model that recordings allow, with a report")
-    fit.add_argument("files", nargs="+", type=Path, help="recordings: one HDF5 file, or CSV files")
-    fit.add_argument("--time", default="t", help="column of the time in s (CSV)")
-    fit.add_argument("--states", nargs="+", help="columns of the states (CSV)")
-    fit.add_argument("--inputs", nargs="+", help="columns of the inputs (CSV)")
-    fit.add_argument("--dt", type=float, help="time step in s that CSV files are resampled to")
+    fit.add_argument("files", nargs="+", type=Path, help="recordings: one HDF5 file, CSV files, or one MATLAB file")
+    add_words(fit)
     fit.add_argument("--candidates", nargs="+", help="models to try; all that the data allow if not given")
     fit.add_argument("--out", type=Path, required=True, help="file of the model")
     report = command("report", _report, "the report that a model was saved with")
@@ -106,10 +104,7 @@ def _identify(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
 def _recordings(given: argparse.Namespace) -> Episodes:
     if len(given.files) == 1 and given.files[0].suffix in (".h5", ".hdf5"):
         return Episodes.load(given.files[0])
-    if not given.states or not given.inputs:
-        raise ValueError("CSV files need --states and --inputs: names of their columns")
-    more = {} if given.dt is None else {"dt": given.dt}
-    return Episodes.from_csv(given.files, given.time, given.states, given.inputs, **more)
+    return of_tables(given)
 
 
 def _report(given: argparse.Namespace) -> tuple[dict[str, Any], int]:

@@ -11,6 +11,7 @@ import casadi as ca
 
 from pisplit.data.columns import column_order
 from pisplit.observables.columns import Base, Columns, Names, Symbol, column_names
+from pisplit.observables.own_errors import is_of_casadi
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,10 @@ def _written(values: Callable[[Symbol, Symbol], Symbol], n: int, m: int) -> ca.F
 
     try:
         return written(ca.SX)
-    except (RuntimeError, NotImplementedError):  # CasADi's ways to say that a Function inside takes no SX
-        return written(ca.MX)
+    except (RuntimeError, NotImplementedError) as error:
+        if not is_of_casadi(error):
+            raise
+        return written(ca.MX)  # CasADi's ways to say that a Function inside takes no SX
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Reproduce the paper's result figure on its arm: error over |D1| and |D2|, for both input laws.
 
-Under the paper's own protocol and under a fair one, in separate figures. Without options a reduced run of minutes;
+Under the paper's own protocol and under a fair one, in separate figures; with ``--reading one-step`` under a reading of
+the paper that shows its picture (docs/paper.md). Without options a reduced run of minutes;
 --full is the paper's scale. Everything is resumable: data and every fit are on disk as soon as they are there, a killed
 run continues.
 """
@@ -27,8 +28,11 @@ from common.data import PaperData, Scale, Source
 from common.protocol import Draw, Method, Predictor
 from common.report import Report, parser, run
 from common.runs import Cell, curve_cells, largest, run_cells
+from paper import one_step_report
 from paper.figures import draw_panels
 from paper.methods import Choices, paper_methods
+from paper.one_step import PENALTIES, Reading, planned, run_fits
+from paper.one_step import largest as largest_draw
 from paper.reasons import reasons
 from paper.tables import Row, finite, printed, table, write_csv
 from paper.variations import VARIATIONS, vary
@@ -40,7 +44,8 @@ from pisplit.models.arm.tendon_arm import TendonArm
 @dataclass(frozen=True)
 class Plan:
     """Data and sizes of a run: |D1| with its number of draws (0: all pairs, once), |D2| of the grid, |D1| there; the
-    same of the fair protocol, whose |D2| are episodes of a twin (no more of their pairs than ``scale`` has samples)."""
+    same of the fair protocol, whose |D2| are episodes of a twin (no more of their pairs than ``scale`` has samples);
+    |D1| and |D2| of the one-step reading, on the grid of the paper's protocol."""
 
     scale: Scale
     sizes: Mapping[int, int]
@@ -49,6 +54,8 @@ class Plan:
     fair_sizes: Mapping[int, int]
     fair_grid: Mapping[int, int]
     twin_episodes: tuple[int, ...]
+    pair_sizes: Mapping[int, int]
+    phase_sizes: tuple[int, ...]
 
 
 PLANS = {
@@ -60,6 +67,8 @@ PLANS = {
         {16: 1, 64: 1},
         {16: 1},
         (8,),
+        {16: 1, 64: 1},
+        (16, 1600),
     ),
     "reduced": Plan(
         Scale(84, 16, 200, 4096),
@@ -69,6 +78,8 @@ PLANS = {
         {16: 1, 256: 1, 4096: 1},
         {16: 1, 4096: 1},
         (8, 20),
+        {2**k: 3 for k in range(6, 14)} | {0: 1},
+        (8, 64, 512, 4096),
     ),
     "full": Plan(
         Scale(),
@@ -78,6 +89,8 @@ PLANS = {
         {2**k: 5 if k <= 8 else 3 if k <= 12 else 1 for k in range(4, 18, 2)} | {0: 1},
         {16: 3, 256: 3, 4096: 1, 0: 1},
         (8, 24, 96),
+        {2**k: 5 if k <= 12 else 3 if k <= 14 else 1 for k in range(6, 18)} | {0: 1},
+        (8, 64, 512, 4096, 140_000),
     ),
 }
 
@@ -92,6 +105,14 @@ def arguments() -> argparse.Namespace:
     )
     made.add_argument("--vary", nargs="+", choices=(*VARIATIONS, "all"), help="what the paper leaves open, instead")
     made.add_argument("--reasons", action="store_true", help="why PI-EDMDc as printed diverges, instead")
+    made.add_argument(
+        "--reading",
+        choices=("printed", "one-step"),
+        default="printed",
+        help="what of the paper is taken as printed, or the reading under which its figure appears",
+    )
+    made.add_argument("--hold", type=int, help="steps between input targets of the reading one-step (its default: 64)")
+    made.add_argument("--penalty", choices=tuple(PENALTIES), help="weight of its LASSO (its default: fixed)")
     made.add_argument("--workers", type=int, default=-1, help="processes; -1 = one a core")
     return made.parse_args()
 
@@ -103,6 +124,11 @@ def main() -> None:
         raise ValueError("--full and --quick are given; choose one")
     kind = "full" if given.full else "quick" if given.quick else "reduced"
     plan = PLANS[kind]
+    if given.reading == "one-step":
+        _run_one_step(plan, given, kind)
+        return
+    if given.hold is not None or given.penalty is not None:
+        raise ValueError("--hold and --penalty are of --reading one-step; the other protocols choose their own")
     report = Report.of(f"the paper's experiment, {kind}", given)
     arm, begin = TendonArm.paper(), time.perf_counter()
     sources = {law: Source(arm, law, given.out / "data", plan.scale, given.seed, given.workers) for law in given.laws}
@@ -123,6 +149,36 @@ def main() -> None:
             _run_protocol(name, plan, sources, data, given, kind, report)
     report.figure("time", time.perf_counter() - begin, "s")
     print(f"{time.perf_counter() - begin:.0f} s, results in {given.out / kind}")
+    report.write(given.json)
+
+
+def _run_one_step(plan: Plan, given: argparse.Namespace, kind: str) -> None:
+    """The reading under which the paper's figure appears: table, JSON and figure."""
+    if given.vary or given.reasons:
+        raise ValueError("--vary and --reasons are of the printed protocol; leave them or --reading one-step out")
+    begin, report = time.perf_counter(), Report.of(f"the paper's experiment, one-step reading, {kind}", given)
+    hold, penalty = given.hold or 64, given.penalty or "fixed"
+    folder = given.out / kind / "one-step"
+    found = Reading(
+        TendonArm.paper(), given.out / "data", plan.scale, hold, penalty, seed=given.seed, workers=given.workers
+    )
+    most = largest_draw(found)
+    report.figure("time of data", time.perf_counter() - begin, "s")
+    n2s = tuple(dict.fromkeys((*plan.phase_sizes, plan.scale.samples)))
+    rows = run_fits(found, planned(plan.pair_sizes, plan.grid_sizes, n2s, most), given.workers)
+    print(one_step_report.printed(rows))
+    usual = (hold, penalty) == (64, "fixed")
+    title = (
+        f"One-step reading: new input targets every {hold} steps, {penalty} penalty, {plan.scale.test} test episodes"
+    )
+    name = "figure" if usual else f"figure-hold{hold}-{penalty}"
+    one_step_report.draw(rows, title, folder / f"{name}.png")
+    one_step_report.record(report, rows, targets=usual)
+    report.figure("time", time.perf_counter() - begin, "s")
+    for line in str(report).splitlines():
+        if "gain" in line or "time" in line or "halvings" in line:
+            print(line)
+    print(f"figure in {folder / name}.png")
     report.write(given.json)
 
 
