@@ -456,6 +456,11 @@ FILES = made()
 
 @pytest.mark.parametrize("file", FILES, ids=[file.name for file in FILES])
 def test_a_messy_file_gives_right_numbers_or_one_line(file: File, tmp_path: Path) -> None:
+    check(file, tmp_path)
+
+
+def check(file: File, tmp_path: Path) -> None:
+    """What comes back is the motion, or one line; what is said is what has to be."""
     path = tmp_path / "run.csv"
     path.write_bytes(file.content if isinstance(file.content, bytes) else file.content.encode())
     ask = {**ASK, **file.ask}

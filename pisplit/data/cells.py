@@ -21,6 +21,11 @@ PLAIN = re.compile(r"[0-9+\-.eE\n]*")
 WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 #: A decimal fraction, or thousands.
 AMBIGUOUS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+", re.ASCII)
+#: Thousands in groups, with a decimal mark behind them: which is which is plain.
+GROUPED = {
+    ".": re.compile(r"[+-]?\d{1,3}([,'\u2019 \u00a0\u202f])\d{3}(\1\d{3})*\.\d+", re.ASCII),
+    ",": re.compile(r"[+-]?\d{1,3}([.'\u2019 \u00a0\u202f])\d{3}(\1\d{3})*,\d+", re.ASCII),
+}
 MISSING = {"", "nan", "na", "n/a", "<na>", "nat", "null", "none", "nil", "-", "--", "---", "missing"}
 #: The same as C libraries and spreadsheets write it.
 MISSING |= {"-nan", "nan(ind)", "-nan(ind)", "1.#ind", "-1.#ind", "1.#qnan", "#n/a", "#div/0!", "#value!", "#num!"}
@@ -28,9 +33,9 @@ MISSING |= {"-nan", "nan(ind)", "-nan(ind)", "1.#ind", "-1.#ind", "1.#qnan", "#n
 DAY, MIDNIGHT = 86400.0, 0.9 * 86400.0
 TRUTH = {"true": 1.0, "false": 0.0}
 DURATION = re.compile(r"([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*([a-zµμ]+)", re.ASCII | re.IGNORECASE)
-CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)", re.ASCII)
+CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)(?: ?([AaPp])[Mm])?", re.ASCII)
 DATES = ("%d-%b-%Y", "%Y/%m/%d", "%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y")
-HOURS = ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S.%f %p", "%I:%M:%S %p", "%H:%M")
+HOURS = ("%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S", "%I:%M:%S.%f %p", "%I:%M:%S %p", "%H:%M")
 
 
 def is_missing(cell: str) -> bool:
@@ -40,7 +45,9 @@ def is_missing(cell: str) -> bool:
 
 def is_number(cell: str) -> bool:
     """Whether a ``cell`` is a number, with either decimal mark."""
-    return bool(NUMBER.fullmatch(cell) or WITH_COMMA.fullmatch(cell))
+    return bool(
+        NUMBER.fullmatch(cell) or WITH_COMMA.fullmatch(cell) or any(g.fullmatch(cell) for g in GROUPED.values())
+    )
 
 
 def is_cell(cell: str) -> bool:
@@ -90,6 +97,8 @@ def numbers(path: object, cells: Cells, decimal: str) -> Array:
             values[i] = np.nan
         elif text.lower() in TRUTH:
             values[i] = TRUTH[text.lower()]
+        elif match := GROUPED[decimal].fullmatch(text):
+            values[i] = float(text.replace(match.group(1), "").replace(",", "."))
         else:
             mark = f" with decimal = {decimal!r}" if is_number(text) else ""
             raise ValueError(f"{path}, line {line}: {cell!r} is not a number{mark}")
@@ -148,7 +157,7 @@ def _reader(cells: Sequence[str]) -> Callable[[str], float | datetime | None]:
 
 
 def _seconds(cell: str) -> float | None:
-    """A duration [s]: "0.01 sec", "00:00:01.5"."""
+    """A duration or a time of day [s]: "0.01 sec", "00:00:01.5", "11:59:59.5 PM"."""
     match = DURATION.fullmatch(cell)
     if match and NUMBER.fullmatch(match.group(1)):
         unit = written(match.group(2).lower())
@@ -157,7 +166,11 @@ def _seconds(cell: str) -> float | None:
     match = CLOCK.fullmatch(cell)
     if match is None:
         return None
-    hours, minutes, seconds = match.groups()
+    hours, minutes, seconds, half = match.groups()
+    if half is not None:
+        if hours is None or not 1 <= int(hours) <= 12:
+            return None
+        hours = str(int(hours) % 12 + (12 if half in "pP" else 0))
     return 3600.0 * int(hours or 0) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
 
 

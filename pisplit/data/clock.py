@@ -17,6 +17,8 @@ Index = NDArray[np.int64]
 #: A clock that falls back by more than so many steps has restarted; by less, samples are out of order.
 RESTART = 10.0
 EXACT = 2**53
+#: Seconds from 1970 to a year of four digits are fewer.
+SINCE_1970 = 1e11
 
 
 def seconds(t: ArrayLike, time_unit: str | float | None = None) -> Array:
@@ -47,6 +49,11 @@ def seconds(t: ArrayLike, time_unit: str | float | None = None) -> Array:
     if array.dtype.kind in "iu" and len(array) and max(int(array.max()), -int(array.min())) > EXACT:
         array = array - array.min()  # ticks since 1970 have more digits than a float
     times = real_array(array, "t") * factor
+    if time_unit is None and np.nanmax(np.abs(times), initial=0.0) > SINCE_1970:
+        raise ValueError(
+            f"t has times such as {np.nanmax(times):.6g}, too many for seconds since 1970; give time_unit, "
+            "such as 'ms', 'us' or 'ns'"
+        )
     if np.isinf(times).any():
         raise ValueError(f"t has {int(np.isinf(times).sum())} infinite entries; missing times are NaN")
     return times

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_number, one_of, positive, real_array
-from pisplit.data import clock, late_commands, recording_checks, resampling, screening
+from pisplit.data import clock, late_commands, recording_checks, resampling, screening, wraps
 from pisplit.data.columns import default_names, labels, table_columns
 from pisplit.data.resampling import BRIDGED, Signal
 from pisplit.data.units import columns_to_si
@@ -24,8 +24,10 @@ INTERPOLATIONS = ("linear", "cubic")
 FIELDS = ("state_names", "input_names", "quantities", "units", "outputs", "provenance")
 #: dt and sample spacing may differ by so much before it is said, and before it is refused (a unit is a thousand).
 SPARSE, DENSE, ABSURD = 5.0, 100.0, 100.0
-#: Spacing of samples [s] from which a clock without a unit is doubted.
-SLOW = 2.0
+#: Spacings of samples [s] from which, and below which, a clock without a unit is doubted.
+SLOW, FAST = 2.0, 1e-5
+#: Rounding of times in parts of their spacing from which on it is not that of two of them.
+COARSE = 1e-6
 #: Spacings that differ so much (90th and 10th percentile) are of samples of several clocks.
 MIXED = 20.0
 
@@ -73,8 +75,8 @@ def from_arrays(
     ``provenance`` counts what was read and lost; "starts" are the times [s] at which the episodes begin, "latency" is
     the delay [s] from commands to motion that was found where ``command_shift`` was not given.
 
-    Warns of readings that were screened, of commands that are late or early, where more than 5 % of the samples are in
-    no episode, and where dt or spacings do not look like one clock.
+    Warns of readings that were screened, of angles, counters and signs that wrap, of commands that are late or early,
+    where more than 5 % of the samples are in no episode, and where dt or spacings do not look like one clock.
     Raises ValueError for times that do not increase, numbers that are infinite, unknown units, readings out of range,
     a dt a hundred times below the spacing, and if nothing is left.
     """
@@ -96,6 +98,7 @@ def from_arrays(
     members = clock.runs(episode, times)
     screened = screening.screened(times, states, inputs, members, names[0], screen)
     states = screened.states
+    wraps.say(times, states, members, names[0])
     if ranges:
         recording_checks.check_ranges(ranges, [*names[0], *names[1]], np.hstack([states, inputs]), times)
     shift = 0.0 if command_shift is None else finite_number(command_shift, "command_shift")
@@ -161,7 +164,7 @@ def _signals(times: Array, states: Array, inputs: Array, shift: float) -> tuple[
 def _step(dt: float | None, runs: Sequence[Sequence[Signal]], names: Sequence[str], told: bool = True) -> float:
     """The step [s]; says where it does not look like that of the readings, or as if a unit had not been ``told``."""
     finest = min((signal for run in runs for signal in run), key=lambda signal: signal.spacing)
-    step = finest.spacing if dt is None else positive(dt, "dt", "s")
+    step = _spacing(finest.times, finest.spacing) if dt is None else positive(dt, "dt", "s")
     if finest.spacing > ABSURD * step:
         raise ValueError(
             f"dt = {step:g} s, but samples are {finest.spacing:g} s apart; check time_unit, or give a larger dt"
@@ -173,11 +176,26 @@ def _step(dt: float | None, runs: Sequence[Sequence[Signal]], names: Sequence[st
         warn(f"dt = {step:g} s, but samples are {finest.spacing:g} s apart: of {step / finest.spacing:.0f} one is used")
     if finest.spacing > SLOW and not told:
         warn(f"samples are {finest.spacing:g} s apart: is the clock in another unit? give time_unit, 's' if it is not")
+    if finest.spacing < FAST and not told:
+        warn(
+            f"samples are {finest.spacing:.3g} s apart: is the clock in another unit? give time_unit, 'day' for dates "
+            "of a spreadsheet, 's' if it is not"
+        )
     slowest = max((signal for run in runs for signal in run), key=lambda s: s.spacing if len(s.times) > 1 else 0.0)
     if slowest.spacing > SPARSE * step:
         name = names[int(slowest.columns[0])]
         warn(f"dt = {step:g} s, but {name} is read every {slowest.spacing:g} s: what lies between is interpolated")
     return step
+
+
+def _spacing(times: Array, median: float) -> float:
+    """The ``median`` spacing of ``times`` [s]; the mean of those alike where floats since 1970 are too coarse."""
+    coarse = float(np.spacing(np.abs(times).max()))
+    if coarse < COARSE * median:
+        return median
+    steps = np.diff(times)
+    alike = steps[np.abs(steps - median) <= 2.0 * coarse]
+    return round(float(alike.mean()), int(-np.ceil(np.log10(2.0 * coarse / len(alike)))))
 
 
 def _jitter(runs: Sequence[Sequence[Signal]]) -> float:

@@ -221,7 +221,7 @@ def _samples(
     size = len(header.columns)
     found: list[tuple[int, list[str]]] = []
     names = [header.columns[i][-1] for i in where]
-    blank = False
+    blank, widest = False, 0
     last = -1 if text.endswith(("\n", "\r")) else len(text.splitlines())
     try:
         for line, row in rows_of(text, mark):
@@ -235,6 +235,7 @@ def _samples(
                 raise ValueError(f"{path}, line {line} has {len(row)} cells; the header has {size}")
             if line == last and len(row) < size:
                 row = row[:-1]  # a logger that was killed left part of a number
+            widest = max(widest, len(row))
             chosen = [row[i] if i < len(row) else "" for i in where]
             if not found and header.units and not any(cells.is_cell(cell) for cell in chosen if cell):
                 continue  # the row of units
@@ -246,4 +247,10 @@ def _samples(
         raise ValueError(text if text.startswith(str(path)) else f"{path} is no table: {text}") from None
     if not found:
         raise ValueError(f"{path} has a header and no rows; expected samples")
+    named = max(i for i, words in enumerate(header.columns) if words) + 1
+    if widest < named:
+        raise ValueError(
+            f"{path} has a header of {named} cells and rows of at most {widest}: names do not stand above their "
+            "columns; does the delimiter stand in a name? give names= for all columns"
+        )
     return found

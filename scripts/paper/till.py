@@ -8,7 +8,6 @@ its Gauss nodes, where the paper has 101 points.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -136,7 +135,7 @@ def implicit_episodes(
 
 def implicit_origin(
     arm: Arm, steps: int, dt: float, hold: int, seed: int, law: str = "zero-sum", stations: int = 6
-) -> Mapping[str, Any]:
+) -> dict[str, Any]:
     """All that decides the episodes of :func:`implicit_episodes` but their number."""
     origin = arm_origin(arm, "episodes", stations, seed, law)
     return {**origin, "steps": steps, "steps_per_target": hold, "dt": dt, "method": "bdf2"}
