@@ -13,8 +13,10 @@ from pisplit.data.warning import warn
 
 Array = NDArray[np.float64]
 
-#: The delay is told only where it predicts better than the usual one by this part: a table has one clock, as a rule.
-VISIBLE = 0.1
+#: A table has one clock as a rule. Another is told only where it predicts better than the usual delay by this part,
+VISIBLE = 0.3
+#: where it is known to so many steps, and commands changed so often: a few changes tell anything.
+SHARP, CHANGES = 2.5, 30
 
 
 def found(xs: Sequence[Array], us: Sequence[Array], dt: float) -> dict[str, Any]:
@@ -24,8 +26,10 @@ def found(xs: Sequence[Array], us: Sequence[Array], dt: float) -> dict[str, Any]
     """
     if not us or not us[0].shape[1]:
         return {}
+    if sum(int((np.diff(u, axis=0) != 0.0).any(axis=1).sum()) for u in us) < CHANGES:
+        return {}
     latency = find_latency(xs, us, dt)
-    if latency.delay is None or latency.residual > (1.0 - VISIBLE) * latency.usual:
+    if latency.delay is None or latency.residual > (1.0 - VISIBLE) * latency.usual or latency.error > SHARP * dt:
         return {}
     text = said(latency, dt)
     if text:
