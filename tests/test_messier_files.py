@@ -110,6 +110,7 @@ def drives() -> list[Any]:
             "t,x,y,u\n" + lines([epoch, X[:, 0], X[:, 1], U]),
             {"time_unit": "ms"},
             dt=1e-3,
+            inputs_within=3e-4,  # 0.24 us of a clock since 1970 in a float, of 1 ms
         ),
         File("units in names", plain("t_s,x_mm,y_m,u"), {"time": "t_s", "states": ["x_mm", "y_m"]}, units=("", "")),
         File("a row of units with a hole", plain("t,x,y,u\ns,mm,,m/s^2", x=1e3), units=("m", "")),

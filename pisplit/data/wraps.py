@@ -68,9 +68,8 @@ def _wraps(values: Array) -> list[int]:
         return []
     size = float(np.median(sizes))
     is_known = any(abs(size - period) <= NEAR * period for period in PERIODS)
-    is_same = (
-        len(found) > 2 and float(np.ptp(sizes)) <= NEAR * size and len(signs) == 1
-    )  # a phase; valves go up and down
+    alike = float(np.ptp(sizes)) <= NEAR * size
+    is_same = len(found) > 2 and alike and len(signs) == 1  # a phase; valves go up and down
     return found if is_known or is_same else []
 
 
