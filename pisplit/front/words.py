@@ -54,7 +54,7 @@ def add_words(command: argparse.ArgumentParser) -> None:
 
 
 def of_tables(given: argparse.Namespace) -> Episodes:
-    """Recordings of the tables that the words name.
+    """Recordings of the tables that the words ``given`` on the command line name.
 
     Raises ValueError, in one line, for words that are missing, or of another kind of file.
     """
