@@ -5,6 +5,7 @@ Of one section also the table of its equilibria, the known physics and models of
 
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.disk_robot import DiskRobot, disk_robot
+from pisplit.models.arm.motion_capture import MotionCapture
 from pisplit.models.arm.multi_section_arm import MultiSectionArm
 from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples
 from pisplit.models.arm.physics import ArmPhysics
@@ -21,6 +22,7 @@ __all__ = [
     "ArmPredictor",
     "DiskRobot",
     "EquilibriumTable",
+    "MotionCapture",
     "MultiSectionArm",
     "OutsideTable",
     "RestShapes",

@@ -44,6 +44,14 @@ class Sight:
         entries = fields(state[:n], state[n:], zero, rest)[self.rows.tolist()]
         return ca.Function("sight", [state], [entries, ca.jacobian(entries, state)])
 
+    def look(self, state: Array, pose: Array | None = None) -> tuple[Array, Array, Array]:
+        """Entries (K,) of a ``state`` (2n,), their derivatives (K, 2n) in it and (K, 6) in the ``pose`` of the base.
+
+        Fields are measured in the axes of the base: nothing depends on a pose.
+        """
+        y, slope = (np.asarray(v, dtype=np.float64) for v in self.function(state))
+        return y.ravel(), slope, np.zeros((len(slope), 6))
+
     def errors(self, fields: Array, position: float, rotation: float, rate: float = 0.05) -> Array:
         """Standard deviation (K,) of every entry; quantities that never move (the clamp's) get that of others.
 

@@ -2,6 +2,7 @@
 
 from pisplit.models.calibration.estimates import Estimate
 from pisplit.models.calibration.fit import calibrate_from_equilibria, calibrate_from_pairs, calibrate_from_shapes
+from pisplit.models.calibration.from_markers import calibrate_from_markers
 from pisplit.models.calibration.model import Calibration, CalibrationError, nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.parametrised import CalibratedTendons
@@ -14,6 +15,7 @@ __all__ = [
     "Estimate",
     "TendonParameters",
     "calibrate_from_equilibria",
+    "calibrate_from_markers",
     "calibrate_from_pairs",
     "calibrate_from_recordings",
     "calibrate_from_shapes",

@@ -48,7 +48,7 @@ def estimates(
     parameters: TendonParameters,
     radius: float,
     free: Sequence[int],
-    servo: Sequence[tuple[str, float, float]],
+    extra: Sequence[tuple[str, float, float, str]],
     covariance: Array,
     width: Array,
 ) -> tuple[Estimate, ...]:
@@ -57,7 +57,7 @@ def estimates(
     Args:
         parameters: what was found; ``radius`` in m as in ``TendonParameters.vector``.
         free: entries of the vector that were free.
-        servo: name, value and unit size of the free servo parameters, which come last.
+        extra: name, value, size and unit of the free parameters that come after those: of servos, of a pose.
         covariance: of the free parameters (P, P), in parts of the vector.
         width: their standard deviations before (P,).
     """
@@ -75,7 +75,7 @@ def estimates(
     others = [("tip_mass", p.tip_mass, REFERENCE_MASS, "kg"), ("friction", p.friction, REFERENCE_FRICTION, "")]
     others += [("slip_speed", p.slip_speed, p.slip_speed, "m/s")]
     every = [*offsets, *stiffness, *slack, *factors, *shifts, *others]
-    rows = [every[k] for k in free] + [(name, v, size, "s" if name == "lag" else "m") for name, v, size in servo]
+    rows = [every[k] for k in free] + list(extra)
     spread = np.sqrt(np.diag(covariance))
     return tuple(
         Estimate(name, value, float(sd * size), unit, bool(sd < IDENTIFIED * before))

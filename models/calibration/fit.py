@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 
 from pisplit.checks import Array, finite_array, non_negative, positive
+from pisplit.models.arm.alignment import aligned
+from pisplit.models.arm.marker_sight import marker_array
+from pisplit.models.arm.motion_capture import MotionCapture
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.model import Calibration, ParametrisedArm, check_memory, nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
@@ -100,6 +103,7 @@ def calibrate_from_shapes(
     free: Sequence[str] = ("tendons", "bending"),
     start: TendonParameters | None = None,
     input_error: float = 0.0,
+    capture: MotionCapture | None = None,
 ) -> Calibration:
     """Tendons whose equilibria look like measured ones: least squares on positions and frames of solved statics.
 
@@ -114,8 +118,14 @@ def calibrate_from_shapes(
         stations: their number S.
         arm, free, start: as in ``calibrate_from_equilibria``.
         input_error: standard deviation in m of the displacements, such as a play between servo and tendons makes.
+        capture: markers, where positions of a few points are all that is measured: ``fields`` are then their columns
+            (N, K), NaN where one was lost, and the errors and stations above say nothing.
     """
-    model = ParametrisedArm(arm, start, free)
+    if capture is not None:
+        u = finite_array(inputs, "inputs", (None, arm.scene.n_inputs))
+        y = marker_array(fields, capture, arm.scene.rod.length, (len(u),))
+        capture = aligned(arm, capture, u, y) if capture.pose == "estimated" else capture
+    model = ParametrisedArm(arm, start, free, capture=capture)
     if "damping" in free:
         raise ValueError("equilibria say nothing of damping; leave it out of free, or use calibrate_from_recordings")
     play = non_negative(input_error, "input_error", "m")

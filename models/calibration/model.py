@@ -11,6 +11,7 @@ import numpy as np
 
 from pisplit.checks import Array, positive
 from pisplit.data.actuator import Actuator
+from pisplit.models.arm.motion_capture import MotionCapture
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.estimates import Estimate, estimates
 from pisplit.models.calibration.parameters import REFERENCE_MASS, REFERENCE_SPEED, TendonParameters
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 GROUPS = ("tendons", "bending", "damping", "routing", "load", "friction")
 #: Parameters of servos, which recordings alone tell, and their typical size: lag in s, play in m.
 SERVO = {"lag": 0.03, "play": 3e-4}
+SERVO_UNITS = {"lag": "s", "play": "m"}
+#: Pose of the base in the axes of markers, and how far its first guess may be off: in parts of the length, and in rad.
+POSE_NAMES = ("base_x", "base_y", "base_z", "turn_x", "turn_y", "turn_z")
+POSE_SHIFT, POSE_TURN = 0.1, 0.3
 #: Spread of every parameter about its first guess that regularises the fit: offsets by half a radius, stiffness and
 #: slack by a factor of e^3 and 1 mm, rounding by e, stiffness and damping of the backbone by e^0.3 and e, points at
 #: the tip by half a radius, a mass there by 10 g, friction by 0.1 and the speed over which it turns round by e.
@@ -66,6 +71,8 @@ class Calibration:
     samples     number of equilibria or pairs that were used; a pair whose simulation fails does not count
     actuator    servos between commands and displacements, as they were told or identified
     estimates   value and standard error of every free parameter, and whether the data identify it
+    capture     the markers it was identified from, with the pose that was found; None where fields were measured
+    notes       what the data do not tell, one line each
     """
 
     arm: TendonArm
@@ -74,11 +81,13 @@ class Calibration:
     samples: int
     actuator: Actuator = field(default_factory=Actuator)
     estimates: tuple[Estimate, ...] = ()
+    capture: MotionCapture | None = None
+    notes: tuple[str, ...] = ()
 
     def report(self) -> str:
         """One line a parameter: value, standard error, unit, and "not identified" where data say nothing of it."""
         head = f"{self.samples} samples, missed by {self.residual:.3g}"
-        return "\n".join([head, *map(str, self.estimates)])
+        return "\n".join([head, *map(str, self.estimates), *self.notes])
 
     def with_damping(self, factor: float) -> Calibration:
         """The same with another factor of the backbone's damping."""
@@ -149,6 +158,7 @@ class ParametrisedArm:
         start: first guess; the arm's own tendons when not given.
         free: parts of ``GROUPS``, of ``SERVO`` too with a ``servo``.
         servo: first guess of what stands between commands and displacements.
+        capture: markers, where these are all that is measured; their pose may be free.
     """
 
     def __init__(
@@ -157,6 +167,7 @@ class ParametrisedArm:
         start: TendonParameters | None,
         free: Sequence[str],
         servo: Actuator | None = None,
+        capture: MotionCapture | None = None,
     ) -> None:
         known = GROUPS if servo is None else (*GROUPS, *SERVO)
         unknown = [name for name in free if name not in known]
@@ -189,12 +200,16 @@ class ParametrisedArm:
         #: Servo parameters come after those of the scene in every vector of free parameters.
         self.servo_free = [name for name in SERVO if name in free]
         told = np.array([getattr(servo, name) / SERVO[name] for name in self.servo_free], dtype=float)
-        self.first = np.concatenate([self.start[self.free], told])
-        self.width = np.concatenate([self.spread[self.free], np.ones(len(told))])
+        #: The pose of the base in the axes of the markers comes last, as changes of the given one.
+        self.capture = capture
+        self.n_pose = 6 if capture is not None and capture.pose == "estimated" else 0
+        self.pose_unit = np.repeat([POSE_SHIFT * arm.scene.rod.length, POSE_TURN], 3)
+        self.first = np.concatenate([self.start[self.free], told, np.zeros(self.n_pose)])
+        self.width = np.concatenate([self.spread[self.free], np.ones(len(told) + self.n_pose)])
         low = np.full(len(self.start), -np.inf)
         low[6 * m + 4] = 0.0
         low[6 * m + 3] = -carried(arm) / REFERENCE_MASS
-        self.low = np.concatenate([low[self.free], np.zeros(len(told))])
+        self.low = np.concatenate([low[self.free], np.zeros(len(told)), np.full(self.n_pose, -np.inf)])
         self.servo = servo
         self.rubs = "friction" in free or first.friction > 0.0
         self.scene = self._scene(None)
@@ -209,7 +224,7 @@ class ParametrisedArm:
                 values = self.start.copy()
                 values[2 * m : 3 * m] += stiffness
                 values[3 * m : 4 * m] += slack
-                found.append(np.maximum(values[self.free], self.low))
+                found.append(np.maximum(np.concatenate([values[self.free], self.first[len(self.free) :]]), self.low))
         return found
 
     def full(self, x: Array) -> Array:
@@ -221,8 +236,20 @@ class ParametrisedArm:
     def actuator(self, x: Array) -> Actuator:
         """The servo of free parameters ``x`` (P,)."""
         found = Actuator() if self.servo is None else self.servo
-        told = {name: SERVO[name] * float(v) for name, v in zip(self.servo_free, x[len(self.free) :], strict=True)}
+        told = {name: SERVO[name] * float(x[k]) for name, k in zip(self.servo_free, self.servo_entries, strict=True)}
         return replace(found, **told)
+
+    @property
+    def servo_entries(self) -> range:
+        """Positions of the servo parameters among the free ones."""
+        return range(len(self.free), len(self.free) + len(self.servo_free))
+
+    def pose(self, x: Array) -> Array:
+        """Position in m and rotation vector in rad (6,) of the base for the markers, by free parameters ``x`` (P,)."""
+        if self.capture is None:
+            return np.zeros(6)
+        given = np.array([*np.asarray(self.capture.position), *np.asarray(self.capture.turn)])
+        return given + self.pose_unit * x[-6:] if self.n_pose else given
 
     def prior(self, x: Array) -> Array:
         """Distance from the first guess in standard deviations. ``x`` (P,) are the free parameters."""
@@ -234,7 +261,14 @@ class ParametrisedArm:
         return np.diag(1.0 / self.width)
 
     def result(
-        self, x: Array, residual: float, samples: int, normal: Array, misfit: float, why: str = ""
+        self,
+        x: Array,
+        residual: float,
+        samples: int,
+        normal: Array,
+        misfit: float,
+        why: str = "",
+        notes: Sequence[str] = (),
     ) -> Calibration:
         """The identified arm.
 
@@ -244,6 +278,7 @@ class ParametrisedArm:
             normal: half the curvature (P, P) of the sum of squares there, with that of the prior.
             misfit: root mean square of the residuals in standard deviations.
             why: it is not to be relied on; empty if it is.
+            notes: what else is to be said of it.
 
         Raises CalibrationError where there is a reason ``why`` not to rely on it.
         """
@@ -252,10 +287,14 @@ class ParametrisedArm:
         arm = TendonArm(scene, self.arm.pretension, self.arm.amplitude)
         parameters = TendonParameters.of_vector(values, self.radius)
         actuator = self.actuator(x)
-        servo = [(name, float(getattr(actuator, name)), SERVO[name]) for name in self.servo_free]
         covariance = np.asarray(max(1.0, misfit) ** 2 * np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
-        told = estimates(parameters, self.radius, self.free.tolist(), servo, covariance, self.width)
-        found = Calibration(arm, parameters, residual, samples, actuator, told)
+        pose = self.pose(x)
+        base = zip(POSE_NAMES, pose, self.pose_unit, ("m",) * 3 + ("rad",) * 3, strict=True)
+        extra = [(name, float(getattr(actuator, name)), SERVO[name], SERVO_UNITS[name]) for name in self.servo_free]
+        extra += [(name, float(v), float(unit), told) for name, v, unit, told in base] if self.n_pose else []
+        told = estimates(parameters, self.radius, self.free.tolist(), extra, covariance, self.width)
+        capture = self.capture.placed(pose[:3], pose[3:]) if self.capture is not None and self.n_pose else self.capture
+        found = Calibration(arm, parameters, residual, samples, actuator, told, capture, tuple(notes))
         if why:
             raise CalibrationError(f"calibration failed: {why}; {len(x)} parameters, residual {residual:.3g}", found)
         return found

@@ -10,32 +10,30 @@ from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 
 from pisplit.checks import Array, finite_array, positive
+from pisplit.models.arm.marker_sight import MarkerSight, marker_array
 from pisplit.models.arm.sight import Sight
+from pisplit.models.calibration.followed import FollowedShapes
 from pisplit.models.calibration.model import ParametrisedArm
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.rod.analysis.fields import N_FIELDS
-from pisplit.models.rod.statics.search import TOLERANCE
 
 #: Error, in parts of what is measured, where the simulation fails for the parameters of the moment: a step there is no
 #: progress.
 LOST = 10.0
 #: Steps of central differences of simulations, which have tolerances of 1e-6 and below.
 DIFFERENCE = 3e-3
-#: Newton steps from a known shape to that of other parameters, and the largest of them in scaled strains.
-NEWTON, LONGEST = 12, 1.0
 
 
 class RestingShapes:
     """Misses of solved equilibria in standard deviations of the measurement.
 
-    Every shape is loaded from nothing once. For other parameters Newton's method starts from the shape last known and
-    its derivative, which is that of the implicit function; what is found counts if it is stable. Where that fails the
-    parameters are moved slowly from the last shape to the new one (``Branches.of_state``).
+    Shapes follow the parameters (:class:`FollowedShapes`).
 
     Args:
         model: the arm with its free parameters.
         inputs: displacements (N, m) in m.
-        fields: measured fields (N, 24 S), of which positions and frames count.
+        fields: measured fields (N, 24 S), of which positions and frames count; the columns (N, K) of the markers where
+            the ``model`` has some, NaN where one was lost.
         position_error, rotation_error: standard deviations of positions in m and of the entries of frames.
         stations: their number S.
         input_error: that of displacements in m. What it does to the shapes is taken to first order about the first
@@ -54,14 +52,19 @@ class RestingShapes:
     ) -> None:
         self.model = model
         self.u = finite_array(inputs, "inputs", (None, model.m))
-        measured = finite_array(fields, "fields", (len(self.u), N_FIELDS * stations))
-        errors = positive(position_error, "position_error"), positive(rotation_error, "rotation_error")
-        self.sight = Sight(model.scene, stations, ("p", "R"))
-        self.error = self.sight.errors(measured, *errors)
-        self.measured = measured[:, self.sight.rows]
-        self.search, self.branches = model.scene.statics().search, model.scene.statics().branches
-        self._known: list[tuple[Array, Array] | None] = [None] * len(self.u)
-        self._last: tuple[Array, Array, Array] | None = None
+        self.sight: Sight | MarkerSight
+        if model.capture is not None:
+            self.sight = MarkerSight(model.scene, model.capture)
+            self.measured = marker_array(fields, model.capture, model.scene.rod.length, (len(self.u),))
+            self.error = self.sight.sizes
+        else:
+            measured = finite_array(fields, "fields", (len(self.u), N_FIELDS * stations))
+            errors = positive(position_error, "position_error"), positive(rotation_error, "rotation_error")
+            self.sight = Sight(model.scene, stations, ("p", "R"))
+            self.error = self.sight.errors(measured, *errors)
+            self.measured = measured[:, self.sight.rows]
+        self._followed = FollowedShapes(model, len(self.u))
+        self._last: tuple[Array, Array, Array, Array] | None = None
         self.root: Array | None = None
         if input_error > 0.0:
             self._of_inputs = input_error * self._solved(model.first)[1][:, :, model.slots["moves"]]
@@ -88,67 +91,40 @@ class RestingShapes:
     def slope(self, x: Array) -> Array:
         """Derivative (N * 12 S, P) of the misses in the free parameters ``x`` (P,); none in those of servos."""
         model = self.model
-        of_scene = self._whitened(self._solved(x)[1][:, :, model.slots[PARAMETERS][model.free]])
-        found = np.zeros((of_scene.shape[0] * of_scene.shape[1], len(x)))
-        found[:, : len(model.free)] = of_scene.reshape(len(found), -1)
-        return found
+        _, of_inputs, of_pose = self._solved(x)
+        found = np.zeros((*of_inputs.shape[:2], len(x)))
+        found[..., : len(model.free)] = of_inputs[:, :, model.slots[PARAMETERS][model.free]]
+        if model.n_pose:
+            found[..., -model.n_pose :] = of_pose * model.pose_unit
+        return self._whitened(found).reshape(-1, len(x))
 
     def _whitened(self, values: Array) -> Array:
         return values if self.root is None else np.asarray(np.linalg.solve(self.root, values), dtype=np.float64)
 
-    def _solved(self, x: Array) -> tuple[Array, Array]:
-        """Misses (N, K) in parts of the sensors' errors and their derivatives (N, K, n_inputs) in all inputs."""
+    def _solved(self, x: Array) -> tuple[Array, Array, Array]:
+        """Misses (N, K) in parts of the sensors' errors and their derivatives (N, K, n_inputs) in all inputs and
+        (N, K, 6) in the pose of the base."""
         if self._last is not None and np.array_equal(self._last[0], x):
             return self._last[1:]
-        model, scene, search = self.model, self.model.scene, self.search
-        n = scene.n_strains
+        model, scene = self.model, self.model.scene
+        n, pose = scene.n_strains, model.pose(x)
         w = np.zeros(scene.n_inputs)
         w[model.slots[PARAMETERS]] = model.full(x)
         missed = np.full((len(self.u), len(self.error)), LOST * scene.rod.length / self.error[0])
-        slopes = np.zeros((*missed.shape, scene.n_inputs))
+        slopes, of_pose = np.zeros((*missed.shape, scene.n_inputs)), np.zeros((*missed.shape, 6))
         for i, moves in enumerate(self.u):
             w[model.slots["moves"]] = moves
-            shape = self._shape(i, w)
-            if shape is None:
+            found = self._followed.solved(i, w)
+            if found is None:
                 continue
-            self._known[i] = shape, w.copy()
-            of_x, of_u = (np.asarray(v) for v in search.slopes(shape, w))
-            state = np.concatenate([search.strains(shape), np.zeros(n)])
-            entries, jacobian = (np.asarray(v) for v in self.sight.function(state))
-            missed[i] = (entries.ravel() - self.measured[i]) / self.error
-            of_shape = jacobian[:, :n] * scene.nominal_strains / self.error[:, None]
-            slopes[i] = -of_shape @ np.linalg.solve(of_x, of_u)
-        self._last = x.copy(), missed, slopes
-        return missed, slopes
-
-    def _shape(self, i: int, w: Array) -> Array | None:
-        """Scaled strains (n,) of shape ``i`` under inputs ``w`` (n_inputs,); None where there is none to be found."""
-        search, branches, known = self.search, self.branches, self._known[i]
-        if known is None:
-            found, _, _ = search.find(w, np.zeros(self.model.scene.n_strains), branches.unique(w))
-            verdict = branches.of_root(found, w, search.worst(found, w) <= TOLERANCE)
-        else:
-            start, before = known
-            near = self._newton(start + search.along(start, before, w - before), w)
-            if near is not None and branches.near(near, w).stable:
-                return near
-            verdict = branches.of_state(start, w, start, before, False)
-        rests = verdict.branch != "unverified" and search.worst(verdict.x, w) <= TOLERANCE
-        return verdict.x if rests else None
-
-    def _newton(self, x: Array, w: Array) -> Array | None:
-        """The root next to ``x`` (n,), None where the steps grow long or do not end."""
-        for _ in range(NEWTON):
-            if self.search.worst(x, w) <= 1e-2 * TOLERANCE:
-                return x
-            try:
-                step = np.linalg.solve(np.asarray(self.search.slopes(x, w)[0]), self.search.residual(x, w))
-            except np.linalg.LinAlgError:
-                return None
-            if not np.abs(step).max() <= LONGEST:
-                return None
-            x = x - step
-        return x if self.search.worst(x, w) <= TOLERANCE else None
+            strains, of_w = found
+            entries, jacobian, turned = self.sight.look(np.concatenate([strains, np.zeros(n)]), pose)
+            seen = np.isfinite(self.measured[i])
+            missed[i] = np.where(seen, entries - self.measured[i], 0.0) / self.error
+            slopes[i] = jacobian[:, :n] @ of_w * (seen / self.error)[:, None]
+            of_pose[i] = turned * (seen / self.error)[:, None]
+        self._last = x.copy(), missed, slopes, of_pose
+        return missed, slopes, of_pose
 
     def fit(self, digits: float = 1e-6, steps: int = 100) -> OptimizeResult:
         """Least squares over the free parameters, with the first guess as prior: scipy's result.

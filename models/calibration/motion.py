@@ -1,0 +1,202 @@
+"""Simulated recordings against measured ones: misses and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+
+import numpy as np
+
+from pisplit.checks import Array, positive
+from pisplit.models.arm.energy_prior import energy_root
+from pisplit.models.arm.kinematic_state import kinematic_state
+from pisplit.models.arm.marker_sight import MarkerSight
+from pisplit.models.arm.sight import Sight
+from pisplit.models.calibration.followed import FollowedShapes
+from pisplit.models.calibration.model import ParametrisedArm
+from pisplit.models.calibration.parametrised import PARAMETERS
+
+#: Internal steps of the integrator in s, and their Radau stages: the error stays far below that of measurements, and
+#: friction that turns round is damped.
+STEP, STAGES = 0.015, 2
+#: Change of lag and play, in their typical sizes, by which commands are differentiated.
+NUDGE = 1e-3
+
+
+class Motion:
+    """Misses of simulated recordings and their derivatives.
+
+    Args:
+        model: the arm with its free parameters.
+        seen: what is measured.
+        dt: time between the instants in s.
+        measured: (N, T+1, K) columns of ``seen``; NaN: lost.
+        logs: commands (D, m) of every recording, the last T+1 of them at its instants.
+        errors: standard deviations (K,) of the columns.
+        input_error: that of constant offsets of the displacements in m, 0 for none.
+        energy: in J of every mode about the shape at rest under the first displacements, which initial states are then
+            told from and held to; None: they are states, and the columns tell them whole.
+    """
+
+    def __init__(
+        self,
+        model: ParametrisedArm,
+        seen: Sight | MarkerSight,
+        dt: float,
+        measured: Array,
+        logs: Sequence[Array],
+        errors: Array,
+        input_error: float,
+        energy: float | None = None,
+    ) -> None:
+        self.model, self.seen, self.errors, self.input_error = model, seen, errors, input_error
+        self.n_offsets = model.m if input_error > 0.0 else 0
+        self.measured, self.logs, self.dt = measured, logs, positive(dt, "dt", "s")
+        self.stepper = model.scene.fast_stepper(self.dt, step=STEP, stages=STAGES)
+        self.energy, self._followed = energy, FollowedShapes(model, len(measured))
+        self.roots: dict[int, Array] = {}
+
+    def resting(self, x: Array, first: Array, i: int) -> tuple[Array, Array] | None:
+        """Shape at rest (n,) under the first displacements of recording ``i`` and its derivative (n, Q + P) in offsets
+        and free parameters; None where there is none. ``first``: that of the initial state from it, and offsets."""
+        model, n = self.model, 2 * self.model.scene.n_strains
+        u, of_servo = self.served(x, i)
+        w = np.zeros(model.scene.n_inputs)
+        w[model.slots["moves"]] = u[0] + (first[n:] if self.n_offsets else 0.0)
+        w[model.slots[PARAMETERS]] = model.full(x)
+        found = self._followed.solved(i, w)
+        if found is None:
+            return None
+        strains, of_w = found
+        moves = of_w[:, model.slots["moves"]]
+        blocks = [moves[:, : self.n_offsets], of_w[:, model.slots[PARAMETERS]][:, model.free], moves @ of_servo[0]]
+        if i not in self.roots and self.energy is not None:
+            self.roots[i] = energy_root(model.scene, strains, w, self.energy)
+        return strains, np.hstack([*blocks, np.zeros((len(strains), model.n_pose))])
+
+    def first_guess(self, x: Array) -> Array:
+        """(N, 2n + offsets) from where the markers are and go at first, told from rest; ``x`` (P,) free parameters.
+
+        Raises RuntimeError where the arm does not rest under the first displacements of a recording.
+        """
+        assert isinstance(self.seen, MarkerSight)
+        found = np.zeros((len(self.measured), 2 * self.model.scene.n_strains + self.n_offsets))
+        for i, rows in enumerate(self.measured):
+            rest = self.resting(x, found[i], i)
+            if rest is None:
+                raise RuntimeError(f"the arm as drawn does not rest under the first displacements of recording {i}")
+            strains, n = rest[0], 2 * len(rest[0])
+            state = kinematic_state(self.seen, rows, self.dt, strains, self.roots[i], self.model.pose(x))
+            found[i, :n] = state - np.concatenate([strains, np.zeros(len(strains))])
+        return found
+
+    def weighed_down(self, factor: float) -> Motion:
+        """The same recordings with sensors whose errors are larger by a ``factor``."""
+        found = copy(self)
+        found.errors = factor * self.errors
+        return found
+
+    def shortened(self, steps: int) -> Motion:
+        """The first ``steps`` of the same recordings."""
+        found, less = copy(self), self.measured.shape[1] - 1 - steps
+        found.measured = self.measured[:, : steps + 1]
+        found.logs = [log[: len(log) - less] for log in self.logs]
+        return found
+
+    def held(self, i: int) -> Array:
+        """(2n + offsets) squared: energy of recording ``i`` at the start, by which long steps of it are held back."""
+        n = 2 * self.model.scene.n_strains
+        found = np.zeros((n + self.n_offsets,) * 2)
+        if i in self.roots:
+            found[:n, :n] = self.roots[i].T @ self.roots[i]
+        return found
+
+    def counted(self, i: int, miss: Array, triangle: Array) -> tuple[float, float]:
+        """Sum of squares of what is measured of recording ``i``, and how many numbers that is.
+
+        Where an initial state is held to rest, what the columns tell of it is taken off: it is fitted to them.
+        ``miss``: all misses; ``triangle``: as in ``Back``.
+        """
+        if i not in self.roots:
+            return float(miss @ miss), float(len(miss))
+        n = len(self.roots[i])
+        told = n - float(np.linalg.norm(self.roots[i] @ np.linalg.inv(triangle)[:n]) ** 2)
+        return float(miss[n:] @ miss[n:]), float(np.isfinite(self.measured[i]).sum()) - told
+
+    def unseen(self, triangles: Mapping[int, Array]) -> tuple[float, float]:
+        """Parts of the prior spread of the tip's tilt and of its twist at the start that the columns leave.
+
+        ``triangles``: of the derivatives in the initial states (``Back``), by recording.
+        """
+        scene, n = self.model.scene, self.model.scene.n_strains
+        kinds = np.array([[c == axis for c in scene.rod.strain_set.free] for axis in range(3)], dtype=float)
+        turns = np.array(
+            [np.kron(scene.rule.weights, kind) for kind in kinds]
+        )  # of the tip, where it is nearly straight
+
+        def spread(roots: Iterable[Array]) -> Array:
+            each = [np.linalg.norm(turns @ np.linalg.inv(root)[:n], axis=1) for root in roots]
+            return np.asarray(np.sqrt(np.mean(np.square(each), axis=0)))
+
+        before, after = spread(self.roots[i] for i in triangles), spread(triangles.values())
+        left = after / np.where(before > 0.0, before, np.inf)
+        return float(left[:2].max()), float(left[2])
+
+    def served(self, x: Array, i: int) -> tuple[Array, Array]:
+        """Displacements (T+1, m) of recording ``i`` and their derivatives (T+1, m, Q) in the free servo parameters."""
+        model, log, kept = self.model, self.logs[i], self.measured.shape[1]
+        if model.servo is None:
+            return log, np.zeros((*log.shape, 0))
+        found = model.actuator(x).simulate(log, self.dt)[0][-kept:]
+        slopes = np.zeros((*found.shape, len(model.servo_entries)))
+        for k, at in enumerate(model.servo_entries):
+            ahead = x.copy()
+            ahead[at] += NUDGE
+            slopes[..., k] = (model.actuator(ahead).simulate(log, self.dt)[0][-kept:] - found) / NUDGE
+        return found, slopes
+
+    def linearised(self, x: Array, first: Array, i: int) -> tuple[Array, Array, Array] | None:
+        """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and offsets
+        of the displacements, and in free parameters; None where the simulation fails."""
+        model, n = self.model, 2 * self.model.scene.n_strains
+        own, offset, moves = n + self.n_offsets, first[n:], model.slots["moves"]
+        y, (u, of_servo), pose = self.measured[i], self.served(x, i), model.pose(x)
+        w = np.zeros((len(u), model.scene.n_inputs))
+        w[:, moves] = u + (offset if self.n_offsets else 0.0)
+        w[:, model.slots[PARAMETERS]] = model.full(x)
+        constant = np.concatenate([moves[: self.n_offsets], model.slots[PARAMETERS][model.free]])  # offsets are, too
+        servo = slice(n + len(constant), n + len(constant) + of_servo.shape[2])
+        state, slope = np.concatenate([first[:n], w[0]]), np.zeros((n, own + len(x)))
+        slope[:, :n] = np.eye(n)
+        misses, slopes = [], []
+        if self.energy is not None:
+            rest = self.resting(x, first, i)
+            if rest is None:
+                return None
+            strains, of_rest = rest
+            state[: n // 2] += strains
+            slope[: n // 2, n:] = of_rest
+            misses.append(self.roots[i] @ first[:n])
+            slopes.append(np.hstack([self.roots[i], np.zeros((n, slope.shape[1] - n))]))
+        for k in range(len(y)):
+            if k:
+                try:
+                    step = self.stepper.sensitivity(state, w[k])
+                except RuntimeError:
+                    return None
+                slope = step.d_state[:n, :n] @ slope
+                slope[:, n : servo.start] += step.d_state[:n, n + constant] + step.d_input[:n, constant]
+                slope[:, servo] += step.d_state[:n, n + moves] @ of_servo[k - 1] + step.d_input[:n, moves] @ of_servo[k]
+                state = step.x
+            entries, jacobian, of_pose = self.seen.look(state[:n], pose)
+            weights = np.isfinite(y[k]) / self.errors
+            misses.append(np.where(weights > 0.0, entries - y[k], 0.0) * weights)
+            seen = jacobian @ slope
+            if model.n_pose:
+                seen[:, -model.n_pose :] = of_pose * model.pose_unit
+            slopes.append(seen * weights[:, None])
+        if self.n_offsets:
+            misses.append(offset / self.input_error)
+            slopes.append(np.eye(self.n_offsets, slope.shape[1], n) / self.input_error)
+        stacked = np.concatenate(slopes)
+        return np.concatenate(misses), stacked[:, :own], stacked[:, own:]
