@@ -108,7 +108,9 @@ class MarkerFit:
         """Damped Gauss-Newton steps from a ``start``; None where it cannot be moved."""
         root = held[1]
         best, weight = self._linearised(start, columns, moves, held), 0.2
-        for _ in range(STEPS) if best is not None else ():
+        if best is None:
+            return None
+        for _ in range(STEPS):
             rows = np.vstack([best.slope, np.sqrt(weight) * root])
             change = np.linalg.lstsq(rows, np.concatenate([-best.miss, np.zeros(len(root))]), rcond=None)[0]
             tried = self._linearised(best.start + change, columns, moves, held)

@@ -58,7 +58,8 @@ class Motion:
 
     def resting(self, x: Array, first: Array, i: int) -> tuple[Array, Array] | None:
         """Shape at rest (n,) under the first displacements of recording ``i`` and its derivative (n, Q + P) in offsets
-        and free parameters; None where there is none. ``first``: that of the initial state from it, and offsets."""
+        and free parameters; None where there is none. ``first`` (2n + offsets,): the initial
+        state from it, and offsets; ``x`` (P,) are the free parameters."""
         model, n = self.model, 2 * self.model.scene.n_strains
         u, of_servo = self.served(x, i)
         w = np.zeros(model.scene.n_inputs)
@@ -143,7 +144,8 @@ class Motion:
         return float(left[:2].max()), float(left[2])
 
     def served(self, x: Array, i: int) -> tuple[Array, Array]:
-        """Displacements (T+1, m) of recording ``i`` and their derivatives (T+1, m, Q) in the free servo parameters."""
+        """Displacements (T+1, m) of recording ``i`` and their derivatives (T+1, m, Q) in the free servo parameters,
+        which are part of ``x`` (P,)."""
         model, log, kept = self.model, self.logs[i], self.measured.shape[1]
         if model.servo is None:
             return log, np.zeros((*log.shape, 0))
@@ -157,7 +159,7 @@ class Motion:
 
     def linearised(self, x: Array, first: Array, i: int) -> tuple[Array, Array, Array] | None:
         """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and offsets
-        of the displacements, and in free parameters; None where the simulation fails."""
+        of the displacements, ``first`` (2n + offsets,), and in free parameters ``x`` (P,); None where it fails."""
         model, n = self.model, 2 * self.model.scene.n_strains
         own, offset, moves = n + self.n_offsets, first[n:], model.slots["moves"]
         y, (u, of_servo), pose = self.measured[i], self.served(x, i), model.pose(x)

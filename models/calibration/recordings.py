@@ -29,7 +29,7 @@ from pisplit.models.rod.analysis.fields import N_FIELDS
 CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
 #: Factors of Marquardt's weight after a step that was taken and one that was not.
 EASED, STIFFENED = 0.5, 5.0
-#: First weight, and factor after a step that was taken, where it holds back initial states too, and standard errors, root
+#: First weight, and factor after a step that was taken, where it holds back initial states too; standard errors, root
 #: mean square over the parameters, that a whole step would be long where such a fit ends.
 CAREFULLY, QUICKLY, NEAR = 0.03, 0.25, 0.1
 #: Standard errors, root mean square over the parameters, that a step may still be long where no step goes downhill.
