@@ -31,9 +31,9 @@ class ArmPredictor:
     Its states are the 24 fields at ``stations``; a prediction starts from the strains and rates that look most like
     what is measured there (``Sight.state``) and moves by large checked steps (``Scene.fast_stepper``). What it is worth
     is what the arm is: with the arm that made the recordings it is as good as its steps, with a drawing as good as the
-    drawing. Maxwell branches of the arm start relaxed, for no field shows their stress. With a ``capture`` its states are
-    the columns of the markers alone; it then starts from the state whose motion passes them best over the last instants
-    (``MarkerFit``).
+    drawing. Maxwell branches of the arm start relaxed, for no field shows their stress. With a ``capture`` its states
+    are the columns of the markers alone; it then starts from the state whose motion passes them best over the last
+    instants (``MarkerFit``).
 
     Args:
         arm: what moves: tendons pulled by displacements, of Kirchhoff strains.
@@ -66,7 +66,9 @@ class ArmPredictor:
                     "the pose of the base is unknown; take the capture of a calibration, which has found it"
                 )
             if arm.scene.branches:
-                raise ValueError("the arm has Maxwell branches, whose stress no marker tells; leave them out (rod.Maxwell)")
+                raise ValueError(
+                    "the arm has Maxwell branches, whose stress no marker tells; leave them out (rod.Maxwell)"
+                )
             self._fit, at = MarkerFit(arm, capture, self.dt), capture.positions
             self.state_names, self.outputs = capture.names, {"tip": at[-3:], "shape": at}
             self.state_units = tuple("m" if i in at else "1" for i in range(capture.n_columns))

@@ -44,7 +44,7 @@ class Back:
         return -np.asarray(np.linalg.solve(r.T @ r + weight * self.held, r.T @ right))
 
     def kept(self, weight: float) -> tuple[Array, Array]:
-        """What holding the state back by ``weight`` leaves to the parameters, beyond the equations with a free state."""
+        """What holding the state back by ``weight`` leaves to the parameters, beyond equations with a free state."""
         r = self.triangle
         free = np.linalg.solve(r.T @ r + weight * self.held, r.T)
         rest = np.eye(len(r)) - r @ free
@@ -113,8 +113,10 @@ class Problem:
         return replace(self, motion=self.motion.shortened(steps))
 
     def change(self, x: Array, local: Local, weight: float) -> Array:
-        """A damped Gauss-Newton step from ``x`` (P,), where the problem is ``local``, that is not too long and stays above the
-        bounds; ``weight`` holds it back."""
+        """A damped Gauss-Newton step from ``x`` (P,), where the problem is ``local``, not too long and above bounds.
+
+        ``weight`` holds it back.
+        """
         model = self.model
         free, (matrix, right) = np.ones(len(x), dtype=bool), local.damped(weight)
         for _ in range(len(x)):

@@ -155,8 +155,14 @@ def calibrate_from_recordings(
 
 @dataclass(frozen=True)
 class Fitted:
-    """Where a fit ended: parameters ``x`` (P,), initial states ``first`` (N, n), the problem there (``best``), and why it
-    is not to be relied on, empty if it is."""
+    """Where a fit ended.
+
+    Attributes:
+        x: parameters (P,).
+        first: initial states (N, n).
+        best: the problem there.
+        why: it is not to be relied on, empty if it is.
+    """
 
     x: Array
     first: Array
@@ -169,6 +175,11 @@ def approached(problem: Problem, x: Array, first: Array) -> tuple[Array, Array]:
 
     Before the parameters explain what is seen, initial states that are free to explain it are thrown far off: short
     recordings are nearly linear in them, and sensors are taken for as bad as the first guess makes them, then less.
+
+    Args:
+        problem: what is to be small.
+        x: first guess (P,).
+        first: initial states and offsets (N, 2n + m).
     """
     whole = problem.motion.measured.shape[1] - 1
     for steps in (k for k in HORIZONS if k < whole):
