@@ -29,6 +29,8 @@ from pisplit.models.rod.analysis.fields import N_FIELDS
 CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
 #: Factors of Marquardt's weight after a step that was taken and one that was not.
 EASED, STIFFENED = 0.5, 5.0
+#: Weight from which on steps of initial states are short, too.
+STOPPED = 1e3
 #: First weight, and factor after a step that was taken, where it holds back initial states too; standard errors, root
 #: mean square over the parameters, that a whole step would be long where such a fit ends.
 CAREFULLY, QUICKLY, NEAR = 0.03, 0.25, 0.1
@@ -229,7 +231,9 @@ def fitted(problem: Problem, x: Array, first: Array, steps: int = STEPS) -> Fitt
                 return Fitted(x, first, best, "")
         else:
             weight = max(STIFFENED * weight, 1e-3)
-            if small:  # uphill however short the step: the end, where what is left to do is below what data tell
+            if small and (
+                states_shown or weight > STOPPED
+            ):  # uphill however short the step: the end, where what is left to do is below what data tell
                 left = problem.standard_errors_left(x, best)
                 uphill = f"the sum of squares {best.cost:.3g} rises by {-fell:.2g} however short the step"
                 why = f"{uphill}, and a whole step would be {left:.2g} standard errors long"
