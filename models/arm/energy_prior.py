@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import eigh
 
 from pisplit.checks import Array
 from pisplit.models.arm.drawing import TURN
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 MOVING = 1.0
 #: Least eigenvalue, in parts of the largest, of stiffness and mass: nothing moves without bound.
 LEAST = 1e-12
+#: Largest (omega smooth)^2 that counts: beyond, nothing moves anyway.
+FASTEST = 100.0
 
 
 def moving_energy(arm: Arm) -> float:
@@ -28,30 +31,38 @@ def moving_energy(arm: Arm) -> float:
     return float(MOVING * 0.5 * stiffness * turn**2 / scene.rod.length)
 
 
-def energy_root(scene: Scene, strains: Array, inputs: Array, energy: float) -> Array:
+def energy_root(scene: Scene, strains: Array, inputs: Array, energy: float, smooth: float = 0.0) -> Array:
     """(2n, 2n) root of the precision of [xi, xi_t] about the shape at rest: its square is energy over ``energy``.
 
     Equipartition: every mode of the linear motion about rest has the same mean energy, so that fast ones are small.
-    The balance at Gauss nodes, weighted by the quadrature, is the gradient of the energy, to the error of the grid;
-    stiffness and mass are its derivatives there.
+    Those faster than ``smooth`` hardly take part: theirs falls with (omega smooth)^4, as where smooth commands drive
+    them. The balance at Gauss nodes, weighted by the quadrature, is the gradient of the energy, to the error of the
+    grid; stiffness and mass are its derivatives there.
 
     Args:
         scene: what moves.
         strains: xi (n,) at rest.
         inputs: (n_inputs,) under which it rests.
         energy: in J.
+        smooth: time in s over which motion is smooth; 0: every mode moves alike.
     """
     n = scene.n_strains
     zero = np.zeros(n)
     blocks = scene.motion_residual.jacobian()(strains, zero, zero, inputs, zero)
-    weights = np.repeat(scene.rule.weights, n // scene.nodes)
-    scale = weights * scene.nominal_residual
+    scale = np.repeat(scene.rule.weights, n // scene.nodes) * scene.nominal_residual
+    stiffness, mass = (_energetic(scale[:, None] * np.asarray(blocks[k])) for k in (0, 2))
+    squares, vectors = eigh(stiffness, mass)  # of angular frequencies
+    squares = np.maximum(squares, LEAST * squares[-1])
+    size = (1.0 + np.minimum(smooth**2 * squares, FASTEST)) / np.sqrt(energy)
+    coordinates = vectors.T @ mass
     found = np.zeros((2 * n, 2 * n))
-    for k, block in ((0, blocks[0]), (1, blocks[2])):
-        energetic = scale[:, None] * np.asarray(block)
-        energetic = 0.5 * (energetic + energetic.T)
-        energetic *= np.sign(np.trace(energetic))
-        values, vectors = np.linalg.eigh(energetic)
-        root = np.sqrt(np.maximum(values, LEAST * values[-1]) / energy)
-        found[k * n : (k + 1) * n, k * n : (k + 1) * n] = root[:, None] * vectors.T
+    found[:n, :n] = (size * np.sqrt(squares))[:, None] * coordinates
+    found[n:, n:] = size[:, None] * coordinates
     return found
+
+
+def _energetic(block: Array) -> Array:
+    """The symmetric part of a ``block`` (n, n), of positive sign and no direction without bound."""
+    symmetric = 0.5 * (block + block.T)
+    values, vectors = np.linalg.eigh(np.sign(np.trace(symmetric)) * symmetric)
+    return np.asarray((vectors * np.maximum(values, LEAST * values[-1])) @ vectors.T)

@@ -86,7 +86,7 @@ class MarkerFit:
                 f"the arm does not rest under the displacements {moves[0].tolist()} m: no start is known"
             )
         rest = found.state[:n]
-        root = energy_root(scene, rest, moves[0], self.energy)
+        root = energy_root(scene, rest, moves[0], self.energy, self.dt)
         state = kinematic_state(self.sight, columns, self.dt, rest, root)
         mean = np.concatenate([rest, np.zeros(n)])
         held = mean, root
