@@ -158,9 +158,13 @@ def test_a_few_positions_in_motion_give_stiffness_and_damping_with_honest_errors
     for e in found.estimates:
         assert e.identified and e.error < 0.1
         assert abs(e.value - 1.0) < 3.0 * e.error
-    assert "twist of the tip: not seen by these markers" in found.report()
-    again = calibrate_from_markers(arm, d, replace(capture, noise=NOISE / 2), ("damping",), windows=2, steps=5)
-    assert again.residual == pytest.approx(2.0, abs=0.6) and "times the noise told" in again.report()
+    again = calibrate_from_markers(arm, d, replace(capture, noise=NOISE / 3), ("damping",), windows=2, steps=5)
+    assert again.residual > 2.0 and "times the noise told" in again.report()
+    low = replace(capture, stations=(0.3,), noise=3e-3)
+    blind = calibrate_from_markers(arm, seen(arm, motions, low, 2), low, ("damping",), windows=2, steps=4)
+    for e in blind.estimates:
+        print(e)
+    assert "twist of the tip: not seen by these markers" in blind.report(), blind.report()
     with pytest.raises(ValueError, match="longest recording has 40 steps; expected 51"):
         calibrate_from_markers(arm, d, capture, ("damping",), steps=50)
 
