@@ -29,8 +29,9 @@ from pisplit.models.rod.analysis.fields import N_FIELDS
 CONVERGED, UNLIKELIER, STEPS = 5e-3, 1e-4, 30
 #: Factors of Marquardt's weight after a step that was taken and one that was not.
 EASED, STIFFENED = 0.5, 5.0
-#: Weight from which on steps of initial states are short, too.
-STOPPED = 1e3
+#: Weight from which on steps of initial states are short, too, and rise of the sum of squares that is none: a standard
+#: error of one parameter is worth more, and steps that the integrator halves here and not there make as much.
+STOPPED, LEVEL = 1e3, 1.0
 #: First weight, and factor after a step that was taken, where it holds back initial states too; standard errors, root
 #: mean square over the parameters, that a whole step would be long where such a fit ends.
 CAREFULLY, QUICKLY, NEAR = 0.03, 0.25, 0.1
@@ -232,7 +233,7 @@ def fitted(problem: Problem, x: Array, first: Array, steps: int = STEPS) -> Fitt
         else:
             weight = max(STIFFENED * weight, 1e-3)
             if small and (
-                states_shown or weight > STOPPED
+                states_shown or weight > STOPPED or -fell < LEVEL
             ):  # uphill however short the step: the end, where what is left to do is below what data tell
                 left = problem.standard_errors_left(x, best)
                 uphill = f"the sum of squares {best.cost:.3g} rises by {-fell:.2g} however short the step"
