@@ -232,9 +232,8 @@ def fitted(problem: Problem, x: Array, first: Array, steps: int = STEPS) -> Fitt
                 return Fitted(x, first, best, "")
         else:
             weight = max(STIFFENED * weight, 1e-3)
-            if small and (
-                states_shown or weight > STOPPED or -fell < LEVEL
-            ):  # uphill however short the step: the end, where what is left to do is below what data tell
+            # uphill however short the step: the end, where what is left to do is below what data tell
+            if small and (states_shown or weight > STOPPED or -fell < LEVEL):
                 left = problem.standard_errors_left(x, best)
                 uphill = f"the sum of squares {best.cost:.3g} rises by {-fell:.2g} however short the step"
                 why = f"{uphill}, and a whole step would be {left:.2g} standard errors long"
