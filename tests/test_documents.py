@@ -103,6 +103,7 @@ SHORTER = {
         "episodes=96": "episodes=4, steps=40, progress=False",
         "calibrate_from_equilibria(arm, u_rest, x_rest)": "calibrate_from_equilibria(arm, u_rest[:4], x_rest[:4])",
         "in range(64)": "in range(4)",
+        "windows=4, steps=8": "windows=2, steps=4",
         'alpha="cv", twin_alpha=1e-5': "alpha=1e-3, twin_alpha=1e-5",
         "sizes=[16, 64, 256], seeds=range(5)": "sizes=[16, 64], seeds=range(2)",
     },
