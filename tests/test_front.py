@@ -53,7 +53,7 @@ def test_the_five_lines_on_an_arm_of_ones_own(
     assert np.isfinite([errors["B-EDMDc"], errors["PI-EDMDc, hold"], errors["PI-EDMDc, twin"]]).all()
     assert errors[report.chosen] <= 1.05 * min(errors.values())
     assert "not tried: 144 states" in str(report) and report.helps and report.unfit
-    mpc = model.mpc(u_max=0.008, du_max=0.002)
+    mpc = model.mpc(u_max=0.008, du_max=0.002, rate_weight=0.1)  # its choice is tested below
     log = mpc.run(arm, ps.references.circle(radius=0.03, period=1.5), steps=110, progress=False)
     assert not log.stopped and log.limit_violations == 0
     assert log.rms_error(after=0.75) < 0.1 * 0.03  # follows to a tenth of the radius

@@ -45,7 +45,7 @@ def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path: Path, monkeypatch:
     assert not list(tmp_path.iterdir())
 
 
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=14, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(scenes())
 def test_random_scenes_end_with_a_clean_status(described: Description) -> None:
     """Statics and two steps of motion: finite states, and success or one line that says why not."""
