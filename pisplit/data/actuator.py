@@ -73,34 +73,57 @@ class Actuator:
             start = ActuatorState.at(u[0] if len(u) else np.zeros(u.shape[1]))
         parts = (("setpoint", start.setpoint), ("servo", start.servo), ("position", start.position))
         r, y, z = (finite_array(value, f"start.{name}", (u.shape[1],)) for name, value in parts)
-        found = np.empty_like(u)
-        limit = np.inf if self.rate is None else self.rate
-        for k, command in enumerate(u):
-            away = command - r
-            arrives = np.full_like(r, h) if ramp else np.minimum(np.abs(away) / limit, h)
-            after = np.where(np.abs(away) <= limit * h, command, r + np.clip(away, -limit * h, limit * h))
-            y, z = self._along(r, after, y, z, arrives)
-            y, z = self._along(after, after, y, z, h - arrives)
-            r, found[k] = after, z
-        return found, ActuatorState(r.copy(), y.copy(), z.copy())
+        begin, end, t = self._setpoints(u, r, h, ramp)
+        servo, turns = (end, end) if self.lag == 0.0 else self._servo(begin, end, t, y)
+        found = _followed(np.stack([turns, servo], axis=1), z, 0.5 * self.play)
+        if len(found):
+            r, y, z = end[-1], servo[-1], found[-1]
+        per_step = max(1, len(end) // max(len(u), 1))
+        return found[per_step - 1 :: per_step].copy(), ActuatorState(r.copy(), y.copy(), z.copy())
 
-    def _along(self, begin: Array, end: Array, y: Array, z: Array, t: Array) -> tuple[Array, Array]:
-        """Servo and position (m,) after the setpoint went linearly from ``begin`` to ``end`` in times ``t`` (m,)."""
-        if self.lag == 0.0:
-            return end, self._follow(z, end)
+    def _setpoints(self, u: Array, r: Array, h: float, ramp: bool) -> tuple[Array, Array, Array]:
+        """Linear moves of the setpoint, begin, end and times (K, m): one a step, or two where a limit ends one early."""
+        if self.rate is None:
+            begin = np.vstack([r, u])[:-1]
+            return (begin if ramp else u), u, np.full_like(u, h)
+        limit, reached = self.rate * h, np.empty((len(u) + 1, len(r)))
+        reached[0] = r
+        for k, command in enumerate(u):
+            away = command - reached[k]
+            reached[k + 1] = np.where(np.abs(away) <= limit, command, reached[k] + np.clip(away, -limit, limit))
+        if ramp:
+            return reached[:-1], reached[1:], np.full_like(u, h)
+        arrives = np.minimum(np.abs(u - reached[:-1]) / self.rate, h)
+        begin = np.stack([reached[:-1], reached[1:]], axis=1).reshape(-1, len(r))
+        return begin, np.repeat(reached[1:], 2, axis=0), np.stack([arrives, h - arrives], axis=1).reshape(-1, len(r))
+
+    def _servo(self, begin: Array, end: Array, t: Array, y: Array) -> tuple[Array, Array]:
+        """Servo (K, m) from ``y`` (m,) after moves of the setpoint, and where it turned round on their way."""
         begin = np.where(t > 0.0, begin, end)  # a jump takes no time, and moves no servo
         slope = np.divide(end - begin, t, out=np.zeros_like(t), where=t > 0.0)
-        behind, steady = begin - y, slope * self.lag  # lag behind' = steady - behind
-        after = end - steady - (behind - steady) * np.exp(-t / self.lag)
+        steady, decay = slope * self.lag, np.exp(-t / self.lag)  # lag behind' = steady - behind
+        servo = np.empty_like(begin)
+        before = np.empty_like(begin)
+        for k in range(len(begin)):
+            before[k] = y
+            y = servo[k] = end[k] - steady[k] - (begin[k] - y - steady[k]) * decay[k]
+        behind = begin - before
         # The servo turns round where the setpoint meets it, behind = 0, if that happens on the way.
-        turns = (behind * (end - after) < 0.0) & (t > 0.0)
+        turns = (behind * (end - servo) < 0.0) & (t > 0.0)
         ratio = np.divide(steady - behind, steady, out=np.ones_like(t), where=turns)
         at = begin + slope * self.lag * np.log(np.where(turns, ratio, 1.0))
-        return after, self._follow(self._follow(z, np.where(turns, at, y)), after)
+        return servo, np.where(turns, at, before)
 
-    def _follow(self, z: Array, y: Array) -> Array:
-        """The play operator over a monotone move to ``y`` (m,)."""
-        return np.clip(z, y - 0.5 * self.play, y + 0.5 * self.play)
+
+def _followed(moves: Array, z: Array, half: float) -> Array:
+    """The play operator of width 2 ``half`` from ``z`` (m,) over monotone moves (K, parts, m) in turn: (K, m)."""
+    found = np.empty((len(moves), len(z)))
+    low, high = moves - half, moves + half
+    for k in range(len(moves)):
+        for part in range(moves.shape[1]):
+            z = np.minimum(np.maximum(z, low[k, part]), high[k, part])
+        found[k] = z
+    return found
 
 
 def checked_actuator(value: object) -> Actuator:
