@@ -82,7 +82,7 @@ class Actuator:
         return found[per_step - 1 :: per_step].copy(), ActuatorState(r.copy(), y.copy(), z.copy())
 
     def _setpoints(self, u: Array, r: Array, h: float, ramp: bool) -> tuple[Array, Array, Array]:
-        """Linear moves of the setpoint, begin, end and times (K, m): one a step, or two where a limit ends one early."""
+        """Linear moves of the setpoint, begin, end and times (K, m): one a step, or two."""
         if self.rate is None:
             begin = np.vstack([r, u])[:-1]
             return (begin if ramp else u), u, np.full_like(u, h)
