@@ -59,6 +59,8 @@ class Overstress:
 
         ``h`` is the step in s, a number or an MX.
         """
+        if not self.branches:
+            return []
         found = self._weights.call([h])
         return found if isinstance(h, ca.MX) else [np.asarray(w) for w in found]
 

@@ -154,8 +154,10 @@ class Stepper(Propagation):
         d_xi, d_xi_t, layout = slope[:n], slope[n : 2 * n], self.scene.layout
         of_sigma, of_input = zip(*(np.split(block, [layout.n_overstress], axis=1) for block in of_acting), strict=True)
         # of the overstress at the stages and the end under the accelerations that stay: (s+1, b n, ...)
-        free = [scheme.overstress.along(column, np.zeros((n, s)), h).T for column in slope.T]
-        d_sigma = np.moveaxis(np.array(free), 0, -1)
+        d_sigma = np.zeros((s + 1, 0, slope.shape[1]))
+        if self.scene.branches:
+            free = [scheme.overstress.along(column, np.zeros((n, s)), h).T for column in slope.T]
+            d_sigma = np.moveaxis(np.array(free), 0, -1)
         d_inputs = np.zeros((2, m, slope.shape[1]))  # of the inputs at both ends of the piece
         for k, fraction in enumerate(ends):
             d_inputs[k, :, self.scene.layout.inputs] = (1.0 - fraction) * np.eye(m)
