@@ -100,6 +100,7 @@ def test_a_payload_is_weighed_and_told_from_other_causes(arm: TendonArm, loaded:
 def test_causes_are_told_apart_by_what_they_leave(missed: tuple[float, float], verdict: str) -> None:
     found = Causes({"payload": (missed[0], ""), "play": (missed[1], "")})
     assert found.verdict.startswith(verdict) and str(found).startswith(verdict)
+    assert [bar.get_width() for bar in found.plot().axes[0].patches] == list(missed)
 
 
 def test_shapes_at_rest_weigh_it_too(arm: TendonArm, loaded: LoopLog) -> None:

@@ -57,7 +57,7 @@ WITHOUT = {
         ),
     ),
     "numbers and matrices at one point": ("Stability", "PoseSensitivity", "Verdict", "Judge", "TendonParameters"),
-    "drawn by what holds it: an account, an identification, a page": ("Energies", "Report", "Outline"),
+    "drawn by what holds it: an account, an identification, a page": ("Energies", "Report", "Outline", "NewModel"),
     "files": ("Exported",),
     "a robot, drawn as its arm": ("DiskRobot",),
 }

@@ -212,9 +212,9 @@ class MPC:
     ) -> None:
         """Other input limits from the next step on, those not given as they were; the run goes on.
 
-        What was estimated and the plan are kept. Rate and input weights are relative to the new box, as ever. Raises
-        ValueError, and changes nothing, for limits that do not fit, and for a box that the present input is not in: go
-        inside first.
+        ``u_min``, ``u_max``, ``du_max``: numbers or (m,), as for the controller. What was estimated and the plan are
+        kept. Rate and input weights are relative to the new box, as ever. Raises ValueError, and changes nothing, for
+        limits that do not fit, and for a box that the present input is not in: go inside first.
         """
         given = {"u_min": u_min, "u_max": u_max, "du_max": du_max}
         arguments = self._arguments | {name: value for name, value in given.items() if value is not None}

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pisplit.front.control import Control
+    from pisplit.front.reidentification import Causes
 
 
 def plot_identified(found: Identified, path: str | os.PathLike[str] | None) -> Figure:
@@ -63,4 +64,18 @@ def plot_control(found: Control, path: str | os.PathLike[str] | None) -> Figure:
     axis.plot(*found.trials[0], "o", ms=13, mfc="none", mec="#b91c1c", mew=1.6)
     axis.set(xlabel="rate weight", ylabel="error of the worst loop (range of outputs)", title="trials on the models")
     tidy(axis)
+    return keep(figure, path)
+
+
+def plot_causes(found: Causes, limit: float, path: str | os.PathLike[str] | None) -> Figure:
+    """Misses of each cause of ``found`` as bars, the ``limit`` dashed; written to ``path`` if not None."""
+    figure = new_figure(6.0, 3.2)
+    axis = figure.subplots()
+    names = list(found.missed)
+    sizes = np.array([found.missed[name][0] for name in names])
+    known = np.isfinite(sizes)
+    top = 2.0 * max([limit, *sizes[known]])
+    axis.barh(names, np.where(known, sizes, top), color=[MEASURED if k else "0.8" for k in known])  # grey: no fit
+    axis.axvline(limit, color="k", lw=0.8, ls="--")
+    axis.set(xscale="log", xlabel="misses (standard deviations of the sensors)", title=found.verdict.split(":")[0])
     return keep(figure, path)

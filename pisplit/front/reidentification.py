@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from pisplit.models.calibration import (
     nominal_parameters,
 )
 from pisplit.models.rod.analysis.fields import N_FIELDS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Windows of the log and their steps: longer ones of violent motion jump between solutions.
 WINDOWS, STEPS = 16, 6
@@ -156,6 +160,12 @@ class Causes:
             return "none of them: a force, a contact, several causes at once, or another arm"
         near = [name for name in ranked if self.missed[name][0] <= APART * max(least, 1.0)]
         return near[0] if len(near) == 1 else f"not told apart: {', '.join(near)}"
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """What each cause leaves unexplained; written to ``path`` where one is given."""
+        from pisplit.front.pictures import plot_causes
+
+        return plot_causes(self, UNEXPLAINED, path)
 
     def __str__(self) -> str:
         rows = [f"{name:<10} missed by {size:.3g}   {text}" for name, (size, text) in self.missed.items()]
