@@ -83,8 +83,9 @@ def test_it_grows_with_the_horizon_and_counts_the_states_that_are_asked_for() ->
     found = predicted_error(model, d1)
     assert found.squared.shape == (12, 80)
     assert found.by_horizon[0] < 0.1 * found.by_horizon[-20:].mean()
-    parts = [predicted_error(model, d1, states=[name]).squared for name in ("x1", "x2")]
-    np.testing.assert_allclose(parts[0] + parts[1], found.squared, rtol=1e-12)
+    parts = [predicted_error(model, d1, states=[name]) for name in ("x1", "x2")]
+    own = [part.squared / part.scale for part in parts]
+    np.testing.assert_allclose(own[0] + own[1], found.squared / found.scale, rtol=1e-12)
     assert "predicted squared error" in str(found)
 
 
@@ -92,6 +93,17 @@ def test_one_step_ahead_it_is_the_residual_of_the_nearest_pair() -> None:
     model, d1 = faulty("offset"), recorded(2)
     found = predicted_error(model, d1, excitation=d1.us[0][None, :3])
     np.testing.assert_allclose(found.squared[:, 0], 0.02**2, rtol=1e-9)
+
+
+def test_what_came_true_under_the_recorded_commands_corrects_the_estimate() -> None:
+    """Residuals of other recordings say all where they are the same everywhere, and nothing where they are noise."""
+    assert predicted_error(faulty("offset"), recorded(2)).scale == pytest.approx(1.0, rel=1e-6)
+    assert predicted_error(faulty("gain"), recorded(2, episodes=1)).scale == 1.0  # nothing to hold it against
+    noisy = recorded(2, noise=0.05)
+    found = predicted_error(exact(), noisy)
+    true = rollout_errors(exact(), noisy).median  # with the noise of what it is compared with
+    assert true / 2.0 < found.median < 2.0 * true
+    assert not true / 2.0 < found.median / found.scale < 2.0 * true
 
 
 def test_delays_take_part() -> None:
