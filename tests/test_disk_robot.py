@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from pisplit import Actuator, Episodes
 from pisplit.models import rod
 from pisplit.models.arm import ArmPredictor, DiskRobot, TendonArm, disk_robot
+from pisplit.models.rod.terms.disks import slipping
 
 DT = 0.03
 
@@ -35,8 +37,35 @@ def test_presets_differ_and_parts_can_be_left_out() -> None:
     bare = disk_robot(1, disks=False, friction=False, servos=False, noise=False)
     assert bare.arm.tendons == TendonArm.paper().tendons  # preset 1 has the drawing's stiffness and mass
     assert bare.actuator == Actuator() and not bare.noise
-    with pytest.raises(ValueError, match="preset = 4; expected one of 1, 2, 3"):
-        disk_robot(4)
+    with pytest.raises(ValueError, match="preset = 5; expected one of 1, 2, 3, 4"):
+        disk_robot(5)
+
+
+def test_the_fourth_preset_is_built_as_no_form_has_it() -> None:
+    """A disk out of place, moduli that fall along the arm, friction that is larger at slow slip; same mass."""
+    odd, even = disk_robot(4), disk_robot(1)
+    tendons, body = odd.arm.tendons, odd.arm.scene.rod
+    assert isinstance(tendons, rod.Tendons)
+    moved = tendons.holes(body.length) - even.arm.tendons.holes(body.length)
+    np.testing.assert_allclose(moved, [0, 0, 0, 0, 0.01, 0, 0, 0, 0], atol=1e-12)
+    stiffness = body.profile([0.0, 0.5 * body.length, body.length]).stiffness[0]
+    np.testing.assert_allclose(stiffness / even.arm.scene.rod.stiffness[0], [1.15, 1.0, 0.85], rtol=1e-9)
+    assert body.mass_per_length == pytest.approx(even.arm.scene.rod.mass_per_length)
+    shapes = [r.arm.scene.statics().solve(r.arm.rest_inputs + np.array([5e-3, -5e-3, 0.0])) for r in (odd, even)]
+    tips = [r.arm.scene.fields(s.state, 2)[1, :3] for r, s in zip((odd, even), shapes, strict=True)]
+    assert all(s.success for s in shapes) and np.linalg.norm(tips[0] - tips[1]) > 1e-3
+    even_disks = disk_robot(4, disks=False, noise=False).arm.tendons
+    assert isinstance(even_disks, rod.Tendons) and even_disks.stiction == 0.0 and even_disks.disks is None
+
+
+def test_friction_at_slow_slip_is_larger_by_the_stiction() -> None:
+    rates = ca.SX.sym("rates", 2, 1)
+    plain, sticky = (ca.Function("sign", [rates], [slipping(rates, 1e-3, more)]) for more in (0.0, 0.5))
+    for speed, factor in ((1e-6, 1.5), (5e-3, 1.0 + 0.5 * np.exp(-1.0)), (5e-2, 1.0)):
+        moved = np.array([0.0, -speed])
+        assert float(sticky(moved)) == pytest.approx(factor * float(plain(moved)), rel=1e-6)
+    with pytest.raises(ValueError, match="give slip_speed= too"):
+        rod.Tendons([(0.01, 0.0)], friction=0.1, disks=3, stiction=0.5)
 
 
 def test_a_robot_that_creeps_differs_from_its_twin_in_motion_alone() -> None:

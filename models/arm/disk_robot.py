@@ -24,14 +24,38 @@ PRESETS = {
     1: (8, 0.10, 0.03, 3e-4, 1.00, 1.00),
     2: (10, 0.20, 0.05, 2e-4, 0.92, 1.06),
     3: (6, 0.05, 0.015, 5e-4, 1.08, 0.95),
+    4: (8, 0.10, 0.03, 3e-4, 1.00, 1.00),
 }
+#: The preset that is built as no form of a model has it: one of its disks sits so many m too near to the tip, its
+#: stiffness is larger at the base and smaller at the tip by this part, and so is friction at slow slip.
+UNEVEN, MISPLACED, VARIES, STICTION = 4, (3, 0.01), 0.15, 0.5
 #: Stiffness of the Maxwell branch in parts of the backbone's, and its relaxation time in s, by preset.
-CREEP = {1: (0.2, 0.5), 2: (0.3, 1.0), 3: (0.1, 0.2)}
+CREEP = {1: (0.2, 0.5), 2: (0.3, 1.0), 3: (0.1, 0.2), 4: (0.2, 0.5)}
 #: Nodes of the robot's rod (a drawing has 5), and the speed in m/s over which friction turns round.
 NODES, SLIP_SPEED = 6, 2e-3
 #: Noise by unit, and of frames in rad: a quarter of what is called noise elsewhere in this project.
 NOISE = {"m": 2.5e-4, "1/m": 0.0125, "m/s": 5e-3, "rad/s": 0.025}
 NOISE_ANGLE = float(np.deg2rad(0.25))
+
+
+@dataclass(frozen=True)
+class UnevenMaterial:
+    """A material by arclength whose moduli fall along the rod, as a cosine.
+
+    Attributes:
+        mean: its moduli and density in the middle.
+        part: by how much moduli are larger at the base and smaller at the tip, in parts.
+        length: of the rod in m.
+    """
+
+    mean: rod.Elastic
+    part: float
+    length: float
+
+    def __call__(self, s: float) -> rod.Elastic:
+        """The material at arclength ``s`` in m."""
+        factor = 1.0 + self.part * float(np.cos(np.pi * s / self.length))
+        return replace(self.mean, young=factor * self.mean.young, shear=factor * self.mean.shear)
 
 
 @dataclass(frozen=True)
@@ -146,7 +170,9 @@ def disk_robot(
     """The other robot: an arm of the paper's size, built otherwise than it is drawn.
 
     Args:
-        preset: 1, 2 or 3 (:data:`PRESETS`): disks, friction, lag, play, and how far stiffness and mass are off.
+        preset: 1, 2, 3 or 4 (:data:`PRESETS`): disks, friction, lag, play, and how far stiffness and mass are off. The
+            fourth has what no form of a model here has: a disk out of its place by 10 mm, stiffness that varies by 15 %
+            along the arm, and friction that is half as large again at slow slip.
         disks: whether tendons run over disks; along the backbone otherwise.
         friction: whether they rub; at disks both ways, without disks as when they are pulled.
         servos: whether servos lag and play.
@@ -164,17 +190,23 @@ def disk_robot(
     material = scene.rod.material
     assert isinstance(material, rod.Elastic)
     built = rod.Elastic(stiffness * material.young, stiffness * material.shear, mass * material.density)
+    along = UnevenMaterial(built, VARIES, scene.rod.length) if preset == UNEVEN else built
     rubs = mu if friction else 0.0
+    places: Array = scene.rod.length * np.arange(1, number + 1) / number
+    if preset == UNEVEN:
+        places[MISPLACED[0]] += MISPLACED[1]
+    both_ways = disks and rubs > 0.0
     tendons = replace(
         drawn,
         friction=rubs,
-        disks=number if disks else None,
-        slip_speed=SLIP_SPEED if disks and rubs > 0.0 else None,
+        disks=(tuple(places.tolist()) if preset == UNEVEN else number) if disks else None,
+        slip_speed=SLIP_SPEED if both_ways else None,
+        stiction=STICTION if preset == UNEVEN and both_ways else 0.0,
     )
     terms = [tendons if term is drawn else term for term in scene.terms]
     terms += [rod.Maxwell(*CREEP[preset])] if creep else []
     arm = TendonArm(
-        rod.Scene(replace(scene.rod, material=built), *terms, nodes=NODES), drawing.pretension, drawing.amplitude
+        rod.Scene(replace(scene.rod, material=along), *terms, nodes=NODES), drawing.pretension, drawing.amplitude
     )
     return DiskRobot(
         arm=arm,

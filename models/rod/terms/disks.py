@@ -20,6 +20,8 @@ from pisplit.models.rod.terms.routing import Route, sample
 WRAP_FLOOR = 1e-4
 #: Nodes of a piece of the rod over which a chord's pose is integrated: good to the sixth power of its angle.
 PIECE = GaussRule(1.0, 3)
+#: Speed above which Stribeck friction is that of fast slip, in speeds over which it turns round.
+STRIBECK = 5.0
 
 
 def checked_disks(disks: int | Sequence[float]) -> int | tuple[float, ...]:
@@ -185,15 +187,19 @@ def _piece() -> ca.Function:
     return ca.Function("piece", [w, v, h], [turns[-1], h * p])
 
 
-def slipping(rates: ca.SX, speed: ca.SX | float) -> ca.SX:
+def slipping(rates: ca.SX, speed: ca.SX | float, stiction: float = 0.0) -> ca.SX:
     """Sign of slip (n - 1, m) at the disks, by tanh of the speed at which each tendon slides through.
 
     Args:
         rates: of the lengths of the chords (n, m) in m/s.
         speed: over which the sign turns round, in m/s.
+        stiction: by how much friction at slow slip exceeds that at fast slip, in parts of it: the sign is larger by as
+            much below five times the ``speed``, with the square of the speed in an exponential. Source: Stribeck's
+            curve in Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994).
     """
     beyond = ca.cumsum(rates[::-1, :])[::-1, :][1:, :]  # of the way from each disk to the end
-    return ca.tanh(-beyond / speed)
+    sign = ca.tanh(-beyond / speed)
+    return sign * (1.0 + stiction * ca.exp(-((beyond / (STRIBECK * speed)) ** 2))) if stiction else sign
 
 
 def falling(angles: ca.SX, friction: ca.SX | float, slip: ca.SX | float) -> ca.SX:

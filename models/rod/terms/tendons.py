@@ -127,6 +127,8 @@ class Tendons(TendonTerm):
         slip_speed: speed in m/s over which friction at the disks turns round, by tanh of the speed at which the tendon
             slides through each; at rest it holds nothing then, and rods creep at that speed. Statics, and motion when
             it is not given: as when the tendon is being pulled.
+        stiction: by how much friction at slow slip exceeds that at fast slip, in parts of it, below five times the
+            ``slip_speed`` (Stribeck's curve); in motion alone.
     """
 
     offsets: Sequence[Route]
@@ -136,6 +138,7 @@ class Tendons(TendonTerm):
     friction: float = field(default=0.0, metadata=OPTION)
     disks: int | Sequence[float] | None = field(default=None, metadata=OPTION)
     slip_speed: float | None = field(default=None, metadata=OPTION)
+    stiction: float = field(default=0.0, metadata=OPTION)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "offsets", checked_routes(self.offsets, "Tendons"))
@@ -148,6 +151,8 @@ class Tendons(TendonTerm):
             positive(self.slip_speed, "Tendons slip_speed", "m/s")
             if self.disks is None:
                 raise ValueError("Tendons slip_speed is that of friction at disks; give disks= too, or leave it out")
+        if non_negative(self.stiction, "Tendons stiction") and self.slip_speed is None:
+            raise ValueError("Tendons stiction is that of slow slip at disks; give slip_speed= too, or leave it out")
 
     __repr__ = brief
 
@@ -260,7 +265,7 @@ class Tendons(TendonTerm):
         slip: ca.SX | float = 1.0
         if rubs and self.slip_speed is not None and motion.rates.nnz():
             rates = chords.rates(motion.w, motion.v, motion.w_t, motion.v_t)
-            slip = slipping(rates, self.slip_speed)
+            slip = slipping(rates, self.slip_speed, self.stiction)
         tensions, readings = [], {name: loads.outputs.get(name, ca.SX(0, 1)) for name in READINGS}
         for i in range(len(self.offsets)):
             length = ca.sum1(lengths[:, i])
