@@ -118,18 +118,10 @@ def test_recordings_hold_the_pair_its_history_and_where_the_servo_was(arm_episod
     np.testing.assert_array_equal(moves[0], np.vstack([scenario.known.rest_inputs, episodes.us[1][:5]]))
 
 
-def test_windows_hold_all_commands_from_rest_and_forms_differ_in_their_disks(arm_episodes: Episodes) -> None:
-    protocol, direct, scenarios = module("common.protocol"), module("ablation.direct"), module("ablation.scenarios")
-    rng = np.random.default_rng(1)
-    episodes = Episodes(arm_episodes.xs, [rng.standard_normal((399, 3)) for _ in range(7)], 0.03)
-    draw = protocol.Draw("other robot 1", episodes, np.array([[1, 4], [2, 30]]), None, 0)
-    scenario = scenarios.scenarios()["other robot 1"]
-    fields, logs = direct.windows(draw, scenario, 2)
-    np.testing.assert_array_equal(fields[1], episodes.xs[2][26:32])
-    np.testing.assert_array_equal(logs[1], np.vstack([scenario.known.rest_inputs, episodes.us[2][:31]]))
-    assert len(logs[0]) == 6
-    assert direct.over_disks(scenario.known, 8).tendons.disks == 8
-    assert direct.over_disks(scenario.known, None) == scenario.known
+def test_the_other_robot_may_have_disks_and_the_papers_arm_too() -> None:
+    direct = module("ablation.direct")
+    assert direct.forms("other robot 2") == (None, 10)
+    assert direct.forms("paper arm") == (None, direct.DISKS)
 
 
 def test_curve_over_noise_is_drawn(tmp_path: Path) -> None:

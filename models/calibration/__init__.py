@@ -1,5 +1,7 @@
 """Calibration: an arm identified from measured equilibria, shapes, pairs or recordings; the result is an arm again."""
 
+from pisplit.models.calibration.choice import CalibrationChoice, TriedCalibration
+from pisplit.models.calibration.choosing import choose_calibration
 from pisplit.models.calibration.estimates import Estimate
 from pisplit.models.calibration.fit import calibrate_from_equilibria, calibrate_from_pairs, calibrate_from_shapes
 from pisplit.models.calibration.from_markers import calibrate_from_markers
@@ -11,13 +13,16 @@ from pisplit.models.calibration.recordings import calibrate_from_recordings
 __all__ = [
     "CalibratedTendons",
     "Calibration",
+    "CalibrationChoice",
     "CalibrationError",
     "Estimate",
     "TendonParameters",
+    "TriedCalibration",
     "calibrate_from_equilibria",
     "calibrate_from_markers",
     "calibrate_from_pairs",
     "calibrate_from_recordings",
     "calibrate_from_shapes",
+    "choose_calibration",
     "nominal_parameters",
 ]

@@ -1,4 +1,4 @@
-"""The picture of a calibration: its tendons."""
+"""Pictures of calibrations: tendons that were found, candidates that were tried."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pisplit.pictures.figures import MEASURED, keep, new_figure, tidy
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from pisplit.models.calibration.choice import CalibrationChoice
     from pisplit.models.calibration.model import Calibration
 
 
@@ -40,4 +41,30 @@ def plot_calibration(found: Calibration, path: str | os.PathLike[str] | None) ->
     axes[2].set(xlabel="tendon", ylabel="slack (mm)", title="slack", xticks=number)
     figure.suptitle(f"{found.samples} samples, residual {found.residual:.3g}", fontsize=10)
     tidy(*axes)
+    return keep(figure, path)
+
+
+def plot_choice(found: CalibrationChoice, path: str | os.PathLike[str] | None) -> Figure:
+    """Held-out errors of all candidates of ``found``, a dot a roll-out; those that fail at the right border.
+
+    Written to ``path`` where one is given.
+    """
+    figure = new_figure(9.0, 1.2 + 0.42 * len(found.tried))
+    axis = figure.subplots()
+    for k, tried in enumerate(found.tried):
+        good = np.isfinite(tried.errors)
+        colour = "#b91c1c" if k == found.chosen else MEASURED
+        axis.plot(1e3 * np.sqrt(tried.errors[good]), np.full(good.sum(), k), "o", ms=4, alpha=0.5, color=colour)
+        if good.any():
+            axis.plot(1e3 * np.sqrt(tried.errors[good].mean()), k, "|", ms=18, mew=2.2, color=colour)
+        lost = np.full((~good).sum(), 0.98)
+        axis.plot(lost, np.full((~good).sum(), k), "x", color=colour, transform=axis.get_yaxis_transform())
+    axis.set(
+        xscale="log",
+        xlabel="root mean square distance of points on held-out roll-outs (mm)",
+        yticks=range(len(found.tried)),
+        yticklabels=[t.name for t in found.tried],
+    )
+    axis.invert_yaxis()
+    tidy(axis)
     return keep(figure, path)

@@ -1,0 +1,229 @@
+"""Candidates for the calibration of an arm, fitted and judged on the same data, each from a simpler or richer one."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from tqdm import tqdm
+
+from pisplit import Episodes
+from pisplit.data.actuator import Actuator
+from pisplit.models.arm.resting import RestShapes
+from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.calibration.choice import TriedCalibration, compared, worth
+from pisplit.models.calibration.estimates import Estimate
+from pisplit.models.calibration.judging import rollouts
+from pisplit.models.calibration.model import Calibration, CalibrationError
+from pisplit.models.calibration.parameters import TendonParameters
+from pisplit.models.calibration.recordings import calibrate_from_recordings
+from pisplit.models.calibration.windows import Windows, stretches
+from pisplit.models.rod.analysis.fields import N_FIELDS
+
+#: What every candidate identifies, and what it may identify besides, in the order in which groups are tried one by one.
+ALWAYS: tuple[str, ...] = ("tendons", "bending", "damping")
+OPTIONAL: tuple[str, ...] = ("lag", "play", "friction", "load", "routing")
+#: Parameters of each optional group, as estimates name them.
+NAMES = {"lag": "lag", "play": "play", "friction": "friction", "load": "tip_mass", "routing": "shift"}
+#: First guesses of a group that becomes free: lag in time steps, play in usual displacements, friction, the speed in
+#: m/s over which it turns round.
+LAG, PLAY, FRICTION, SLIP_SPEED = 0.5, 0.015, 0.05, 5e-3
+#: Standard deviation of displacements that nobody knows, in usual displacements.
+LATE = 0.01
+#: Standard errors below which a group is the first to be left out.
+SIGNIFICANT = 2.0
+#: Distance of points, in parts of their measuring error, below which errors of roll-outs are equally good.
+EQUAL = 0.1
+
+
+@dataclass
+class Candidates:
+    """Candidates on the same data: fitted, judged, compared.
+
+    Attributes:
+        recordings: what windows are cut from.
+        held_out: what roll-outs are compared with.
+        windows: what is learned from.
+        shapes: shapes at rest beside them.
+        errors: of positions in m, of entries of frames, of rates in parts of their spread.
+        start: what is told of the tendons, the first guess.
+        told: what is told of the servos.
+        late: standard deviation in m of displacements that nobody knows.
+        play: first guess of an unknown play in m.
+        groups: optional groups to choose from.
+        ahead: steps of roll-outs.
+        bar: of progress.
+        tried: all candidates so far.
+        arms: their forms.
+    """
+
+    recordings: Episodes
+    held_out: Episodes
+    windows: Windows
+    shapes: RestShapes | None
+    errors: tuple[float, float, float]
+    start: TendonParameters
+    told: Actuator
+    late: float
+    play: float
+    groups: tuple[str, ...]
+    ahead: int
+    bar: tqdm[None]
+    tried: list[TriedCalibration] = field(default_factory=list)
+    arms: list[TendonArm] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.stations = self.windows.fields.shape[2] // N_FIELDS
+        self.held = stretches(self.held_out, self.ahead)
+        points = 3 * (self.stations - 1)
+        self.floor = points * (EQUAL * self.errors[0]) ** 2
+
+    def best_form(self, forms: Sequence[TendonArm]) -> int:
+        """Number of the best candidate with none or all of the groups, of any of the ``forms``."""
+        best = -1
+        for arm in forms:
+            mine = self.fitted(arm, (), -1)
+            if self.groups:
+                rich = self.fitted(arm, self.groups, mine)
+                if worth(self.tried[rich].gain, self.tried[rich].spread):
+                    mine = rich
+                elif self.tried[rich].note or self.tried[rich].gain < 0.0:
+                    mine = self.grown(arm, mine)
+            if best < 0 or worth(*self.gain(mine, best)):
+                best = mine
+        return best
+
+    def grown(self, arm: TendonArm, best: int) -> int:
+        """The candidate ``best`` with those groups, one after the other, that make it better."""
+        for group in self.groups:
+            more = self.fitted(arm, (*self.optional(best), group), best)
+            if worth(self.tried[more].gain, self.tried[more].spread):
+                best = more
+        return best
+
+    def pruned(self, best: int) -> int:
+        """The candidate ``best`` without the groups that do not make it better by more than the spread."""
+        while kept := self.optional(best):
+            size = self.significance(best)
+            weak = [g for g in kept if size[g] < SIGNIFICANT]
+            least = min(kept, key=lambda g: size[g])
+            for out in ([weak] if len(weak) > 1 else []) + [[least]]:
+                less = self.fitted(self.arms[best], [g for g in kept if g not in out], best)
+                if not worth(*self.gain(best, less)):
+                    break
+            else:
+                return best
+            best = less
+        return best
+
+    def optional(self, number: int) -> tuple[str, ...]:
+        """Optional groups of the candidate of this ``number``."""
+        return tuple(g for g in self.tried[number].free if g in OPTIONAL)
+
+    def gain(self, this: int, other: int) -> tuple[float, float]:
+        """Mean log gain of candidate ``this`` over the ``other``, and its standard error."""
+        return compared(self.tried[this].errors, self.tried[other].errors, self.floor)
+
+    def significance(self, number: int) -> dict[str, float]:
+        """How many standard errors every optional group of candidate ``number`` is away from what is told."""
+        found = self.tried[number].calibration
+        assert found is not None  # a candidate without one is never kept
+        return {g: _away(found.estimates, g, self.start, self.told) for g in self.optional(number)}
+
+    def fitted(self, arm: TendonArm, extra: Sequence[str], origin: int) -> int:
+        """Number of the candidate of the form ``arm`` with ``extra`` groups, fitted from the result of ``origin``."""
+        begin = time.process_time()
+        found = None if origin < 0 else self.tried[origin].calibration
+        first = self.start if found is None else found.parameters
+        servo = self.told if found is None else found.actuator
+        before = () if origin < 0 else self.optional(origin)
+        first, servo = self.guess(first, servo, tuple(extra), before)
+        calibration, note = self.calibrated(arm, (*ALWAYS, *extra), first, servo)
+        errors = np.full(len(self.held), np.inf)
+        if calibration is not None:
+            errors = rollouts(calibration, self.held_out, self.held)
+        gain = spread = np.nan
+        if origin >= 0:
+            gain, spread = compared(errors, self.tried[origin].errors, self.floor)
+        over = arm.tendons.disks
+        form = (
+            "along the backbone" if over is None else f"over {len(arm.tendons.holes(arm.scene.rod.length)) - 1} disks"
+        )
+        seconds = time.process_time() - begin
+        free = (*ALWAYS, *extra)
+        self.tried.append(TriedCalibration(form, free, errors, gain, spread, origin, note, seconds, calibration))
+        self.arms.append(arm)
+        self.bar.update()
+        return len(self.tried) - 1
+
+    def guess(
+        self, first: TendonParameters, servo: Actuator, extra: tuple[str, ...], before: tuple[str, ...]
+    ) -> tuple[TendonParameters, Actuator]:
+        """First guesses: groups that become free begin off zero, those that are left out are as they were told.
+
+        ``first`` and ``servo`` are the result with the groups ``before``; ``extra`` ones are free now.
+        """
+        start, told = self.start, self.told
+        new = {
+            "lag": told.lag or LAG * self.recordings.dt,
+            "play": told.play or self.play,
+        }
+        for name, value in new.items():
+            if (name in extra) != (name in before):
+                servo = replace(servo, **{name: value if name in extra else getattr(told, name)})
+        if "friction" not in extra:
+            first = replace(first, friction=start.friction, slip_speed=start.slip_speed)
+        elif "friction" not in before:
+            first = replace(first, friction=start.friction or FRICTION, slip_speed=SLIP_SPEED)
+        if "load" not in extra:
+            first = replace(first, tip_mass=start.tip_mass)
+        if "routing" not in extra:
+            first = replace(first, shift=start.shift)
+        return first, servo
+
+    def calibrated(
+        self, arm: TendonArm, free: tuple[str, ...], start: TendonParameters, servo: Actuator
+    ) -> tuple[Calibration | None, str]:
+        """The fit of an ``arm`` with the groups ``free`` from ``start`` and ``servo``, and what went wrong with it."""
+        position, rotation, rate = self.errors
+        shapes = self.shapes
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of motions under parameters that are given up again
+            try:
+                found = calibrate_from_recordings(
+                    arm,
+                    self.windows.fields,
+                    self.windows.logs,
+                    self.recordings.dt,
+                    position_error=position,
+                    rotation_error=rotation,
+                    rate_error=rate,
+                    stations=self.stations,
+                    free=free,
+                    start=start,
+                    equilibria=None if shapes is None else (shapes.inputs, shapes.fields),
+                    input_error=self.late,
+                    actuator=servo,
+                )
+            except CalibrationError as error:
+                return error.calibration, str(error)
+            except (RuntimeError, np.linalg.LinAlgError) as error:
+                return None, str(error)
+        return found, ""
+
+
+def _away(estimates: Sequence[Estimate], group: str, start: TendonParameters, told: Actuator) -> float:
+    """Largest distance of a group's estimates from what is told, in standard errors."""
+    neutral = {"lag": told.lag, "play": told.play, "friction": start.friction, "tip_mass": start.tip_mass}
+    shifts = {
+        f"shift_{axis}[{i}]": v for i, p in enumerate(start.shift.tolist(), 1) for axis, v in zip("xy", p, strict=True)
+    }
+    sizes = [
+        abs(e.value - (neutral | shifts)[e.name]) / max(e.error, 1e-300)
+        for e in estimates
+        if e.name.split("_x")[0].split("_y")[0] == NAMES[group]
+    ]
+    return max(sizes, default=0.0)
