@@ -32,21 +32,25 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
+from benchmarks.cosseratbench_driven import driven
 from common.report import Report, parser, run
 from pisplit.models import rod
 
 Array = NDArray[np.float64]
-#: Gauss nodes of the rod.
+#: Experiments of the suite; the first two take seconds, the twist minutes.
+EXPERIMENTS = ("cantilever", "catenary", "pendulum", "twist")
+#: Gauss nodes of the rod at rest.
 NODES = 12
 #: Errors that the references of the suite allow (linear theory, no bending stiffness, finite amplitude), by metric.
 TARGETS = {"tip_deflection_error": 6e-4, "shape_error": 6e-4, "period_error": 2.5e-5, "critical_twist_error": 5e-3}
 
 
 class PisplitSolver:
-    """Adapter of the suite for equilibria of one rod in the x-z plane, clamped or pinned at its ends.
+    """Adapter of the suite for equilibria of one rod in the x-z plane, clamped or pinned at its ends, and driven rods.
 
     Quasi-static scenarios are answered by their equilibrium from the second frame on. A pin at the start is a clamp
-    that is turned until it bears no moment.
+    that is turned until it bears no moment. Rods with a driven end, any number that do not touch, move: see
+    ``cosseratbench_driven``.
     """
 
     name = "pisplit"
@@ -63,14 +67,19 @@ class PisplitSolver:
         """
         from cosseratbench.trajectory import Trajectory
 
-        if len(scenario.rods) != 1 or scenario.obstacles or not scenario.quasi_static:
-            raise NotImplementedError("several rods, obstacles, or motions (a base that is hinged in motion)")
+        if scenario.obstacles or not scenario.quasi_static:
+            raise NotImplementedError("obstacles, or motions (a base that is hinged in motion)")
+        times = np.linspace(0.0, scenario.duration, n_frames)
+        if all(spec.end_motion for spec in scenario.rods):
+            moved = [driven(spec, scenario, times, n_elements) for spec in scenario.rods]
+            return Trajectory(times, *(tuple(part) for part in zip(*moved, strict=True)))
+        if len(scenario.rods) != 1:
+            raise NotImplementedError("several rods, unless each is driven")
         (spec,) = scenario.rods
-        if np.any(np.array(spec.centerline)[:, 1]) or spec.start_motion or spec.end_motion:
-            raise NotImplementedError("rods out of the x-z plane, or driven ends")
+        if np.any(np.array(spec.centerline)[:, 1]) or spec.start_motion:
+            raise NotImplementedError("rods out of the x-z plane, or a driven start")
         if spec.start.value == "free" or spec.end.value == "clamped":
             raise NotImplementedError("a free start or a clamped end")
-        times = np.linspace(0.0, scenario.duration, n_frames)
         positions, directors = _equilibrium(spec, scenario.gravity, n_elements)
         all_positions = np.concatenate([spec.nodes(n_elements)[None], np.tile(positions, (n_frames - 1, 1, 1))])
         all_directors = np.concatenate([spec.directors(n_elements)[None], np.tile(directors, (n_frames - 1, 1, 1))])
@@ -128,6 +137,7 @@ def _equilibrium(spec: Any, gravity: tuple[float, float, float], elements: int) 
 
 def main() -> None:
     made = parser(__doc__ or "")
+    made.add_argument("--only", choices=EXPERIMENTS, help="one experiment")
     arguments = made.parse_args()
     try:
         from cosseratbench import registry
@@ -135,7 +145,7 @@ def main() -> None:
     except ModuleNotFoundError:
         raise ValueError("cosseratbench is not installed; pip install pisplit[bench]") from None
     report = Report.of("cosseratbench", arguments)
-    names = ("cantilever", "catenary") if arguments.quick else ("cantilever", "catenary", "pendulum", "twist")
+    names = (arguments.only,) if arguments.only else EXPERIMENTS[:2] if arguments.quick else EXPERIMENTS
     for experiment in (registry.load_experiment(name) for name in tqdm(names, desc="cosseratbench", unit="experiment")):
         for solver in _solvers(registry):
             missing = _run(measured, experiment, solver, report)
