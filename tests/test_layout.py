@@ -41,7 +41,7 @@ ROD = {
     "section": {"kinematics"},
     "terms": {"kinematics", "section"},
     "equations": {"kinematics", "section", "terms"},
-    "statics": {"equations", "output", "terms"},
+    "statics": {"equations", "output", "section", "terms"},
     "dynamics": {"analysis", "equations", "kinematics", "output", "terms"},
     "analysis": {"kinematics", "terms"},
     "output": {"analysis", "equations", "terms"},

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pisplit.models import rod
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.rod.statics import resolution
+from pisplit.models.rod.section.jumps import cut, jumps
+from pisplit.models.rod.statics import refinement
 from pisplit.models.rod.statics.equilibrium import Equilibrium
 
 EI = 1e6 * np.pi * 0.01**4 / 4
@@ -135,6 +137,85 @@ def test_nodes_that_are_named_or_chosen_do() -> None:
     assert chosen == tapered.with_nodes(6) and chosen.statics().solve().error <= 1e-4
 
 
+def stepped(s: float) -> rod.Circle:
+    return rod.Circle(0.01 if s < 0.37 else 0.005)
+
+
+def hinge(s: float) -> rod.Elastic:
+    return rod.Elastic(1e5 if 0.3 < s < 0.45 else 1e6, 4e5, 1000.0)
+
+
+def curved(s: float) -> tuple[float, float, float]:
+    return (0.0, 3.0 if s < 0.61 else -3.0, 0.0)
+
+
+def patch(s: float) -> tuple[float, float, float]:
+    return (10.0 * EI if 0.2 < s < 0.33 else 0.0, 0.0, 0.0)
+
+
+ROUND = rod.Circle(0.01)
+SAG = rod.Gravity((0.3, 0.0, 0.0))
+JUMPS = {
+    "section": (rod.Rod(1.0, stepped, STEEL, "planar"), (SAG,), [0.37]),
+    "material": (rod.Rod(1.0, ROUND, hinge, "planar"), (rod.TipWrench(force=(EI, 0.0, 0.0)),), [0.3, 0.45]),
+    "rest curvature": (rod.Rod(1.0, ROUND, STEEL, "planar", rest_curvature=curved), (SAG,), [0.61]),
+    "force": (body("planar"), (rod.PointWrench(0.43, force=(10.0 * EI, 0.0, 0.0)),), [0.43]),
+    "moment": (body("planar"), (rod.PointWrench(0.43, moment=(0.0, 3.0 * EI, 0.0)),), [0.43]),
+    "mass": (body("planar"), (rod.Gravity((2.0, 0.0, 0.0)), rod.PointMass(0.57, 0.02)), [0.57]),
+    "load per length": (body("planar"), (rod.DistributedWrench(force=patch),), [0.2, 0.33]),
+}
+
+
+def shape(scene: rod.Scene) -> np.ndarray:
+    found = solved(scene)
+    points = found.scene.statics().resolution.shapes[0](found.state[: scene.n_strains], np.zeros(scene.n_inputs))
+    return np.asarray(points).T
+
+
+@pytest.mark.parametrize("name", JUMPS)
+def test_elements_end_where_something_jumps(name: str) -> None:
+    """Within 1e-4 L by themselves; on four nodes as far off as it is said, with the places that would do."""
+    made, terms, places = JUMPS[name]
+    cut = replace(made, elements=tuple(np.diff([0.0, *places, 1.0])))
+    exact = shape(rod.Scene(cut, *terms, nodes=7))
+    chosen = rod.Scene(made, *terms, nodes="auto")
+    assert chosen.rule.borders[1:-1] == pytest.approx(places, abs=1e-9)
+    assert np.linalg.norm(shape(chosen) - exact, axis=1).max() <= 1.3e-4
+    smeared = rod.Scene(made, *terms)
+    off = np.linalg.norm(shape(smeared) - exact, axis=1).max()
+    assert off > 1e-3 and solved(smeared).error == pytest.approx(off, rel=0.25)
+    with pytest.warns(rod.Unresolved, match=f"elements that end at s = {', '.join(map(str, places))} m too"):
+        rod.Scene(made, *terms).statics().solve()
+
+
+def test_a_tendon_may_end_anywhere_where_nodes_are_chosen() -> None:
+    pull = rod.Tendons.parallel(8e-3, (0, 180), rod.Tension(), end=0.43)
+    scene = rod.Scene(body("planar"), pull, nodes="auto")
+    bent = scene.statics().solve([3.0 * EI / 8e-3, 0.0])
+    assert scene.rule.borders == (0.0, 0.43, 1.0) and bent.error < 1e-4
+    assert scene.fields(bent.state, [0.43, 1.0])[:, 16] == pytest.approx([3.0, 0.0])  # 1/m
+
+
+def test_a_strong_taper_is_cut_where_more_nodes_help_little() -> None:
+    """100:1 with a load that curls its last centimetre, beside six elements."""
+    needle = rod.Rod(1.0, rod.Tapered(rod.Circle(0.01), rod.Circle(1e-4)), STEEL, "planar")
+    load = rod.TipWrench(force=(3e4 * EI * 1e-8, 0.0, 0.0))
+    fine = replace(needle, elements=(0.4, 0.3, 0.18, 0.08, 0.03, 0.01))
+    reference = rod.Scene(fine, load, nodes=5)
+    chosen = rod.Scene(needle, load, nodes="auto")
+    assert len(chosen.element_nodes) > 3
+    assert np.linalg.norm(shape(chosen) - shape(reference), axis=1).max() < 1e-4
+
+
+def test_jumps_are_found_where_they_are() -> None:
+    assert jumps(lambda s: [np.sin(30.0 * s), 1.0 if s > 1.0 / 3.0 else 0.0], 0.0, 1.0) == pytest.approx([1.0 / 3.0])
+    assert jumps(lambda s: np.log(1.0 - 0.99 * s), 0.0, 1.0) == []
+    halves = rod.Rod(1.0, (ROUND, rod.Circle(0.02)), STEEL, elements=(0.5, 0.5))
+    again, owner = cut(halves, [0.5, 0.7, 0.7 + 1e-12])
+    assert owner == [0, 1, 1] and again.elements == pytest.approx((0.5, 0.2, 0.3))
+    assert [again.section_at(s).area for s in (0.4, 0.6, 0.9)] == [halves.section_at(s).area for s in (0.4, 0.6, 0.9)]
+
+
 def test_what_no_number_of_nodes_resolves_is_refused() -> None:
     coil = rod.Rod(1.0, rod.Circle(0.01), STEEL, rest_curvature=(0.0, 20.0 * np.pi, 0.0))
     with pytest.warns(rod.Unresolved, match="not even 24 would do"):
@@ -152,7 +233,7 @@ def test_more_nodes_are_tried_where_few_find_no_equilibrium(monkeypatch: pytest.
     rolled = rod.Scene(body(), rod.TipWrench(moment=rod.Input("m", 3)))
     assert not rolled.statics().solve(moment(2.0)).success
     assert rolled.resolved(moment(2.0)).element_nodes == (12,)
-    monkeypatch.setattr(resolution, "MOST", 5)
+    monkeypatch.setattr(refinement, "MOST", 5)
     with pytest.raises(ValueError, match=r"no equilibrium under .* to choose nodes by: .*; give other inputs"):
         rolled.resolved(moment(2.0))
 

@@ -51,9 +51,9 @@ class Scene(Equations):
         rod: the rod.
         terms: what acts on it; inputs add up in the order of the terms.
         nodes: number of Gauss nodes, of a rod with several elements on every element, or a number for each, or
-            ``"auto"``: enough for 1e-4 L without inputs (see ``resolved``). Four give 1e-5 to 1e-4 L for a smooth arm,
-            six 1e-6 to 1e-5; equilibria warn (``Unresolved``) where they are off by more than 1e-3 L. ``scene.nodes``
-            is the number K of all of them.
+            ``"auto"``: nodes, and elements, for 1e-4 L without inputs (see ``resolved``). Four give 1e-5 to 1e-4 L for
+            a smooth arm, six 1e-6 to 1e-5; equilibria warn (``Unresolved``) where they are off by more than 1e-3 L.
+            ``scene.nodes`` is the number K of all of them.
 
     Raises ValueError where rod, terms and nodes do not fit together; warns (``NoEffect``) of what acts on nothing,
     which ``scene.notes`` lists too.
@@ -62,7 +62,8 @@ class Scene(Equations):
     def __init__(self, rod: Rod, *terms: Term, nodes: int | Sequence[int] | str = 4) -> None:
         if isinstance(nodes, str):
             one_of(nodes, "Scene nodes", ("auto",))
-            nodes = _rebuild(rod, terms, 4).resolved().element_nodes
+            fine = _cut_at_jumps(rod, terms).resolved()
+            rod, nodes = fine.rod, fine.element_nodes
         self._fill(rod, terms, nodes, Balance)
         self._say()
 
@@ -95,17 +96,24 @@ class Scene(Equations):
         """The scene on another number of ``nodes`` of every element, or a number for each."""
         return _rebuild(self.rod, self.terms, nodes, self.balance_type)
 
+    def with_rod(self, rod: Rod, nodes: int | Sequence[int]) -> Scene:
+        """The same terms on another ``rod``, with ``nodes`` of every element, or a number for each."""
+        return _rebuild(rod, self.terms, nodes, self.balance_type)
+
     def resolved(self, inputs: ArrayLike | None = None, tolerance: float = 1e-4) -> Scene:
-        """The scene on as many nodes as its equilibria need, and not fewer than it has.
+        """The scene on as many nodes and elements as its equilibria need, and not fewer than it has.
+
+        Elements are cut where a load, the section, the material or the rest curvature jumps, and where more nodes help
+        little (strong tapers); nodes are added on those elements that need them.
 
         Args:
             inputs: (N, n_inputs) under which shapes are to be right, e.g. the corners of their range; none when not
                 given.
             tolerance: largest error along the rod in parts of its length.
 
-        Raises ValueError where an equilibrium is not found, or takes more than 24 nodes an element.
+        Raises ValueError where an equilibrium is not found, or takes more than 24 nodes an element or 48 in all.
         """
-        from pisplit.models.rod.statics.resolution import resolved
+        from pisplit.models.rod.statics.refinement import resolved
 
         rows = np.zeros((1, self.n_inputs)) if inputs is None else np.atleast_2d(real_array(inputs, "inputs"))
         rows = self.checked_inputs(rows, "inputs", (None, self.n_inputs))
@@ -299,6 +307,16 @@ def _rebuild(
     scene = Scene.__new__(Scene)
     scene._fill(body, terms, nodes, balance_type)
     return scene
+
+
+def _cut_at_jumps(body: Rod, terms: tuple[Term, ...]) -> Scene:
+    """A first grid of four nodes an element, with elements that end where something jumps."""
+    from pisplit.models.rod.section.jumps import cut
+    from pisplit.models.rod.statics.refinement import places_of_jumps
+
+    if isinstance(body, Rod):
+        body, _ = cut(body, places_of_jumps(body, terms))
+    return _rebuild(body, terms, 4)
 
 
 def _equal(a: object, b: object) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -13,6 +13,7 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.statics.refinement import MOST, cut_at, grids, places_of_jumps
 from pisplit.models.rod.terms.pull import TendonTerm
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 COARSE, FINE, CAUTION = 1e-3, 1e-4, 0.8
 #: Growth of the largest scaled strain from which on a shape is checked again.
 GROWTH = 1.25
-#: Nodes that the finer grid has more, on every element, and the most that are tried.
-MORE, MOST = 2, 24
+#: Nodes that the finer grid has more, on every element.
+MORE = 2
 #: Points along the rod at which shapes are compared.
 POINTS = 20
 #: Change of a scaled unknown by which the finer balance is differentiated.
@@ -36,35 +37,55 @@ STEPS, BALANCED = 6, 1e-5
 class Resolution(Rebuilt):
     """Error of the grid of a scene at rest.
 
-    The strains are taken to a grid of two more nodes an element, one Newton step is made there, and both shapes are
-    compared along the whole rod. A root there would tell no more: both grids differ by the error of the coarser one,
-    which falls exponentially with the nodes. What neither grid sees (a load between nodes) stays unseen.
+    The strains are taken to a grid of two more nodes an element, with the end of one wherever a load or the rod itself
+    jumps; one Newton step is made there, and both shapes are compared along the whole rod. A root there would tell no
+    more: both grids differ by the error of the coarser one, which falls exponentially with the nodes. What neither grid
+    sees (a jump in a term of the user's own) stays unseen.
 
     Args:
         scene: the rod and what acts on it.
+        finer: the grid to compare with, if not that one.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, finer: Scene | None = None) -> None:
         self.scene = scene
         self.checked = -1.0
+        if finer is not None:
+            self.finer = finer
 
     @cached_property
     def finer(self) -> Scene:
-        """The scene on more nodes."""
-        return self.scene.with_nodes([k + MORE for k in self.scene.element_nodes])
+        """The scene on more nodes, cut where something jumps."""
+        return cut_at(
+            self.scene, places_of_jumps(self.scene.rod, self.scene.terms), [k + MORE for k in self.scene.element_nodes]
+        )
 
     def error(self, state: Array) -> float:
         """Largest distance from the true shape, in parts of the length, of a ``state`` [xi, 0, u] at rest.
 
         Infinite where the finer balance has no slopes (at the load at which the rod buckles), or overflows.
         """
+        return self.judged(state)[0]
+
+    def judged(self, state: Array) -> tuple[float, Array]:
+        """The error of ``state``, and what the strains of every element of the finer grid have in it (elements,)."""
         strains, *_, u = self.scene.layout.split(state)
-        better = self.interpolated(strains)
-        better = better + self._newton_step(better, u)
+        there = self.interpolated(strains)
+        better = there + self._newton_step(there, u)
         if not np.isfinite(better).all():
-            return float("inf")
-        here, there = (np.asarray(f(x, u)) for f, x in zip(self.shapes, (strains, better), strict=True))
-        return float(np.linalg.norm(here - there, axis=0).max()) / self.scene.rod.length
+            return float("inf"), np.ones(len(self.finer.element_nodes))
+        shape, length = np.asarray(self.shapes[1](better, u)), self.scene.rod.length
+
+        def distance(other: ca.DM) -> float:
+            return float(np.linalg.norm(np.asarray(other) - shape, axis=0).max()) / length
+
+        found, free = [], self.scene.rod.strain_set.n_fields
+        ends = free * np.cumsum([0, *self.finer.element_nodes])
+        for a, b in pairwise(ends.tolist()):
+            left = better.copy()
+            left[a:b] = there[a:b]
+            found.append(distance(self.shapes[1](left, u)))
+        return distance(self.shapes[0](strains, u)), np.array(found)
 
     def check(self, states: Array) -> None:
         """Warn (``Unresolved``) if the nodes do not resolve the most bent of ``states`` (N, n_states) at rest.
@@ -82,12 +103,7 @@ class Resolution(Rebuilt):
             if self._bends_at_disks:
                 what = "loads jump at disks: cut the rod into elements from disk to disk"
             else:
-                nodes = self.would_do(states[worst], FINE)
-                what = (
-                    f"nodes={_shortest(nodes)} would do"
-                    if nodes
-                    else f"not even {MOST} would do: cut the rod into elements"
-                )
+                what = self._told(self.would_do(states[worst], FINE))
             few = _shortest(self.scene.element_nodes)
             told = f"{few} nodes do not resolve this shape: off by {error:.1g} of the length along the rod; {what}"
             warnings.warn(told, Unresolved, stacklevel=5)
@@ -99,25 +115,37 @@ class Resolution(Rebuilt):
         places = [t.holes(length) for t in self.scene.terms if isinstance(t, TendonTerm)]
         return any(np.abs(s - borders).min() > 1e-9 * length for s in np.concatenate([np.zeros(1), *places]))
 
-    def would_do(self, state: Array, tolerance: float) -> tuple[int, ...] | None:
-        """Nodes of every element that resolve the equilibrium near ``state`` to ``tolerance`` of the length.
+    def would_do(self, state: Array, tolerance: float) -> Scene | None:
+        """The scene on a grid that resolves the equilibrium near ``state`` to ``tolerance`` of the length.
 
-        None if it takes more than ``MOST``, or if no equilibrium is found there on more nodes.
+        None if it takes more than ``MOST`` nodes an element or ``ALL``, or if no equilibrium is found there on more.
         """
-        for finer, shape in self._refined(state):
-            if finer.error(shape) <= tolerance:
-                return finer.scene.element_nodes
-        return None
+        return next((finer.scene for finer, error in grids(self, state) if error <= tolerance), None)
 
-    def _refined(self, state: Array) -> Iterator[tuple[Resolution, Array]]:
-        """Grids of more and more nodes, and the equilibrium near ``state`` on each."""
-        here, u = self, self.scene.layout.split(state).inputs
-        while max(here.scene.element_nodes) + MORE <= MOST:
-            xi = here._root_near(here.interpolated(here.scene.layout.split(state).strains), u)
-            if xi is None:
-                return
-            here, state = Resolution(here.finer), here.finer.at_rest(xi, u)
-            yield here, state
+    def _told(self, fine: Scene | None) -> str:
+        """What to do, in words: the nodes and borders of ``fine``."""
+        if fine is None:
+            return f"not even {MOST} would do: cut the rod into elements"
+        borders, own = fine.rule.borders[1:-1], np.array(self.scene.rule.borders)
+        new = [s for s in borders if np.abs(own - s).min() > 1e-9 * self.scene.rod.length]
+        if not new:
+            return f"nodes={_shortest(fine.element_nodes)} would do"
+        places = ", ".join(f"{s:.6g}" for s in new)
+        nodes = _shortest(fine.element_nodes)
+        return f"elements that end at s = {places} m too and nodes={nodes} would do: Scene.resolved makes them"
+
+    def of(self, scene: Scene) -> Resolution:
+        """That of another ``scene``."""
+        return Resolution(scene)
+
+    def on(self, scene: Scene) -> Resolution:
+        """That of the same scene beside another ``scene`` than ``finer``."""
+        return self if scene is self.finer else Resolution(self.scene, scene)
+
+    def root(self, state: Array) -> Array | None:
+        """Strains (n,) of the equilibrium of the finer grid near ``state``, None where the steps overflow."""
+        strains, *_, u = self.scene.layout.split(state)
+        return self._root_near(self.interpolated(strains), u)
 
     def on_finer(self, state: Array) -> Array:
         """``state`` [xi, xi_t, sigma, u] on the finer grid: all are interpolated, but strains so that forces are.
@@ -187,39 +215,6 @@ class Resolution(Rebuilt):
             xi, u, balance = scene.static_balance
             made.append(ca.Function("shape", [xi, u], [balance.motion.position_at(points)]))
         return made[0], made[1]
-
-
-def resolved(scene: Scene, inputs: Array, tolerance: float) -> Scene:
-    """``scene`` on nodes that resolve its equilibria under ``inputs`` (N, n_inputs) to ``tolerance`` of the length.
-
-    Where few nodes find no equilibrium (they may buckle where the rod does not), more are tried.
-
-    Raises ValueError where an equilibrium is not found, or takes more than ``MOST`` nodes an element.
-    """
-    for _ in range(MOST):
-        for u in inputs:
-            statics = scene.statics()
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", Unresolved)
-                found = statics.solve(u)
-            if found.success and statics.resolution.error(found.state) <= tolerance:
-                continue
-            if found.success:
-                nodes = statics.resolution.would_do(found.state, tolerance)
-            else:
-                nodes = tuple(k + MORE for k in scene.element_nodes)
-                if max(nodes) > MOST:
-                    raise ValueError(f"no equilibrium under {u} to choose nodes by: {found.message}; give other inputs")
-            if nodes is None:
-                raise ValueError(
-                    f"more than {MOST} nodes an element are needed for {tolerance:g} of the length; cut the rod into "
-                    "elements"
-                )
-            scene = scene.with_nodes(nodes)
-            break
-        else:
-            return scene
-    raise ValueError(f"no number of nodes up to {MOST} keeps {tolerance:g} of the length; cut the rod into elements")
 
 
 def _shortest(nodes: tuple[int, ...]) -> str:

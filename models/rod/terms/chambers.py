@@ -70,6 +70,10 @@ class Chambers:
         """One input with an entry a chamber."""
         return (Input(self.name, len(self.offsets)),)
 
+    def jumps(self, rod: Rod) -> list[float]:
+        """Where the load of the ``rod`` jumps: at their end."""
+        return [] if self.end is None else [self.end]
+
     def check(self, rod: Rod, rule: Rule) -> None:
         """Raise ValueError for chambers that end within an element or would bend a planar rod out of its plane.
 

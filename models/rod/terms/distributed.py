@@ -13,6 +13,7 @@ from pisplit.checks import finite_array
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.section.jumps import jumps
 from pisplit.models.rod.terms.idle import idle_wrench
 from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector
 
@@ -55,6 +56,14 @@ class DistributedWrench:
             if callable(value):
                 _sampled(value, rule.nodes.tolist(), f"DistributedWrench {name}")
 
+    def jumps(self, rod: Rod) -> list[float]:
+        """Where its functions jump along the ``rod``."""
+        found: list[float] = []
+        for value in (self.force, self.moment):
+            if callable(value):
+                found += jumps(_in_parts(value, rod.length), 0.0, rod.length)
+        return found
+
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the loads at every node. ``motion`` is that of the rod; ``loads`` takes what is added."""
         force, moment = self._at_nodes(self.force, motion, loads), self._at_nodes(self.moment, motion, loads)
@@ -87,3 +96,9 @@ class DistributedWrench:
 
 def _sampled(value: Callable[[float], Sequence[float]], nodes: list[float], name: str) -> np.ndarray:
     return np.array([finite_array(value(s), f"{name} at s = {s:g} m", (3,)) for s in nodes]).T
+
+
+def _in_parts(value: Callable[[float], Sequence[float]], length: float) -> Callable[[float], np.ndarray]:
+    """``value`` in parts of what is largest along ``length``."""
+    size = float(np.abs(_sampled(value, np.linspace(0.0, length, 17)[1:-1].tolist(), "DistributedWrench")).max())
+    return lambda s: np.asarray(value(s), dtype=float) / max(size, 1e-300)

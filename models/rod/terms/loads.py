@@ -146,7 +146,8 @@ class Term(Protocol):
     """Anything that acts on a rod. ``inputs`` lists what it reads; ``apply`` adds its loads.
 
     A term that does not fit every rod may also have ``check(rod, rule)``, called when the scene is made; it raises
-    ValueError. One that acts on nothing in some scenes may have ``idle(rod, terms)``, which says why, or None.
+    ValueError. One that acts on nothing in some scenes may have ``idle(rod, terms)``, which says why, or None; one
+    whose load jumps along the rod ``jumps(rod)``, the arclengths in m at which an element should end.
     """
 
     @property

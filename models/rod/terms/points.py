@@ -49,6 +49,10 @@ class PointWrench:
         """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
         on_the_rod(self.s, rod.length, "PointWrench")
 
+    def jumps(self, rod: Rod) -> list[float]:
+        """Where the load of the ``rod`` jumps."""
+        return [self.s]
+
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the wrench at ``s``. ``motion`` is that of the rod; ``loads`` takes what is added."""
         force, moment = loads.read(self.force), loads.read(self.moment)
@@ -100,6 +104,10 @@ class Spring:
         """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
         if self.s is not None:
             on_the_rod(self.s, rod.length, "Spring")
+
+    def jumps(self, rod: Rod) -> list[float]:
+        """Where the load of the ``rod`` jumps."""
+        return [] if self.s is None else [self.s]
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the force at ``s``. ``motion`` is that of the rod; ``loads`` takes what is added."""
@@ -171,6 +179,10 @@ class PointMass:
     def check(self, rod: Rod, rule: Rule) -> None:
         """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
         on_the_rod(self.s, rod.length, "PointMass")
+
+    def jumps(self, rod: Rod) -> list[float]:
+        """Where the load of the ``rod`` jumps."""
+        return [self.s]
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add weight m g and inertia -m a at the centre of mass, and the rate of its angular momentum.

@@ -305,6 +305,10 @@ class Tendons(TendonTerm):
                 lengths.append(float(np.linalg.norm(a, axis=0) @ rule.weights[:n]))
         return np.array(lengths)
 
+    def jumps(self, rod: Rod) -> list[float]:
+        """Where the load of the ``rod`` jumps: at their end; at disks it does everywhere, see ``disks``."""
+        return [] if self.end is None else [self.end]
+
     def check(self, rod: Rod, rule: Rule) -> None:
         """Raise ValueError where the tendons do not fit a rod.
 
