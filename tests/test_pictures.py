@@ -54,11 +54,14 @@ WITHOUT = {
             "Regression",
             "Condensed",
             "HeldTip",
+            "Layout",
+            "Maxwell",
         ),
     ),
     "numbers and matrices at one point": ("Stability", "PoseSensitivity", "Verdict", "Judge", "TendonParameters"),
     "drawn by what holds it: an account, an identification, a page": ("Energies", "Report", "Outline", "NewModel"),
     "files": ("Exported",),
+    "an instrument that is told or found": ("Actuator", "MotionCapture"),
     "a robot, drawn as its arm": ("DiskRobot",),
 }
 

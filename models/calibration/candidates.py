@@ -97,7 +97,7 @@ class Candidates:
         return best
 
     def grown(self, arm: TendonArm, best: int) -> int:
-        """The candidate ``best`` with those groups, one after the other, that make it better."""
+        """The candidate ``best``, of the form ``arm``, with those groups, one after the other, that make it better."""
         for group in self.groups:
             more = self.fitted(arm, (*self.optional(best), group), best)
             if worth(self.tried[more].gain, self.tried[more].spread):
