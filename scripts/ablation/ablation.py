@@ -178,6 +178,9 @@ def main() -> None:
     made = parser(__doc__ or "", "out/ablation")
     made.add_argument("--scenario", action="append", default=None, help="one or several scenarios, default all")
     made.add_argument("--method", action="append", default=None, help="one or several methods, default all")
+    made.add_argument(
+        "--pairs", type=int, action="append", help="one or several of the sizes, 0: all; default all sizes"
+    )
     made.add_argument("--workers", type=int, default=-1, help="worker processes, -1: all cores")
     arguments = made.parse_args()
     known = scenarios()
@@ -201,7 +204,11 @@ def main() -> None:
             known[name], folder / "data", plan.training, plan.test, arguments.seed, arguments.workers
         )
         data = source.load_or_make()
-        cells = [c for c in dict.fromkeys(cells_of(plan, name, len(data.test.us[0]))) if c.method in chosen]
+        steps = len(data.test.us[0])
+        cells = [c for c in dict.fromkeys(cells_of(plan, name, steps)) if c.method in chosen]
+        if arguments.pairs:
+            every = (plan.training - HELD_OUT) * (steps - HISTORY)
+            cells = [c for c in cells if c.n1 in {size or every for size in arguments.pairs}]
         settings = {"seed": arguments.seed, "training": plan.training, "test": plan.test}
         used = [found[label] for label in dict.fromkeys(c.method for c in cells)]
         results |= run_cells(
