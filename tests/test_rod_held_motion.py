@@ -76,6 +76,19 @@ def test_equilibria_are_those_of_a_tip_that_is_moved_there(strains: str, turn: t
     assert 0.0 < slope[0] < 1.0 and np.abs(slope[1][:3]).max() < 1e-9  # no push moves a held tip
 
 
+@pytest.mark.parametrize(("turns", "nodes"), [(0.4, 4), (0.9, 4), (-1.2, 6)])
+def test_a_tip_that_is_twisted_by_many_turns_stores_all_of_them(turns: float, nodes: int) -> None:
+    """At rest a pulled rod carries the torque G J 2 pi turns / L, not that of the same frame reached the short way."""
+    thin = body("kirchhoff")
+    pull = rod.TipWrench(force=(0.0, 0.0, 200.0 * thin.stiffness[0] / LENGTH**2))
+    slides = rod.HeldTip(position=(0.0, 0.0, 0.0), axes="xy", rotation=rod.Input("turn", 3))
+    scene = rod.Scene(thin, pull, slides, nodes=nodes)
+    rest = scene.statics().solve([0.0, 0.0, 2.0 * np.pi * turns])
+    torque = thin.stiffness[2] * 2.0 * np.pi * turns / LENGTH
+    assert rest.success and rest.branch == "followed"
+    assert scene.reactions(rest.state) == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, torque], abs=1e-7)
+
+
 def test_the_tip_stays_where_it_is_for_ten_seconds() -> None:
     """1e-10 L after 10 s and 500 steps of every scheme, with rates that do not move it either."""
     scene = bent("planar", rod.Retardation(0.02), nodes=8)

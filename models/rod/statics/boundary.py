@@ -230,7 +230,14 @@ class FixedTip(Rebuilt):
     # Solving ---------------------------------------------------------------------------------------------------------
 
     def solve(
-        self, u: Array, position: ArrayLike, rotation: ArrayLike | None, turns: float, start: Array, rests: bool
+        self,
+        u: Array,
+        position: ArrayLike,
+        rotation: ArrayLike | None,
+        turns: float,
+        start: Array,
+        rests: bool,
+        vector: Array | None = None,
     ) -> FixedTipEquilibrium:
         """Equilibrium under inputs ``u`` (n_inputs,) reached by moving the tip.
 
@@ -241,6 +248,7 @@ class FixedTip(Rebuilt):
             turns: by which a clamped tip is twisted about its axis, beyond ``rotation``.
             start: state (n_states,) to start from.
             rests: whether it is meant to be an equilibrium, else a guess.
+            vector: rotation vector (3,) of ``rotation`` from the unloaded tip, which tells whole turns; None: none.
 
         Raises ValueError for a rotation that is none.
         """
@@ -256,7 +264,7 @@ class FixedTip(Rebuilt):
             y, settled = descend(self.way(u, Journey(place, place, frame, np.zeros(3), 0.0)), y, 0.0, self.judge)
             events.append(Event(0.0, "bifurcation", settled))
         place, frame = self._pose(y, u)
-        turn = np.zeros(3) if wanted is None else (frame.inv() * wanted).as_rotvec()
+        turn = np.zeros(3) if wanted is None else _wound((frame.inv() * wanted).as_rotvec(), frame, vector)
         journey = Journey(place, goal, frame, turn, turns)
         if events and not events[0].at_rest:
             return self._found(Walk(y, 0.0, False, tuple(events)), u, journey)
@@ -315,6 +323,20 @@ class FixedTip(Rebuilt):
             load_factor=first if success or branch == "given" else min(first, walked.t),
             scene=self.scene,
         )
+
+
+def _wound(turn: Array, frame: Rotation, vector: Array | None) -> Array:
+    """``turn`` (3,) with as many whole turns more as the rotation ``vector`` (3,) in world axes has.
+
+    It leads from ``frame``, in its axes, to where ``vector`` leads from the unloaded tip.
+    """
+    whole = 0.0 if vector is None else float(np.linalg.norm(vector))
+    if vector is None or whole <= np.pi:
+        return turn
+    wanted = frame.inv().apply(vector)
+    size = float(np.linalg.norm(turn))
+    axis = turn / size if size > 1e-9 else wanted / whole
+    return turn + 2.0 * np.pi * np.round((wanted - turn) @ axis / (2.0 * np.pi)) * axis
 
 
 def checked_rotation(rotation: ArrayLike) -> Rotation:

@@ -50,14 +50,14 @@ class HeldScene(Rebuilt):
 
     @cached_property
     def _pose(self) -> ca.Function:
-        """``u -> `` position (3,) and rotation (3, 3)."""
+        """``u -> `` position (3,), rotation (3, 3) and its vector (3,)."""
         symbols = {item.name: ca.SX.sym(item.name, item.size) for item in self.scene.inputs}
         u = ca.vertcat(ca.SX(0, 1), *symbols.values())
-        return ca.Function("pose", [u], list(self.tip.pose(symbols)))
+        return ca.Function("pose", [u], [*self.tip.pose(symbols), self.tip.turn(symbols)])
 
     def pose(self, u: Array) -> tuple[Array, Array | None]:
         """Where the tip is held under inputs ``u`` (n_inputs,): position (3,) and rotation (3, 3), None if it turns."""
-        place, turn = (np.asarray(v, dtype=np.float64) for v in self._pose(u))
+        place, turn, _ = (np.asarray(v, dtype=np.float64) for v in self._pose(u))
         if self.tip.rotation is None:
             return place.ravel(), None
         left, _, right = np.linalg.svd(turn)  # the exponential is a rotation to 1e-13
@@ -75,7 +75,8 @@ class HeldScene(Rebuilt):
             first, rests = at.state, at.success
         else:
             first, rests = start, False
-        return self.fixed.solve(inputs, place, turn, 0.0, first, rests)
+        vector = None if turn is None else np.asarray(self._pose(u)[2], dtype=np.float64).ravel()
+        return self.fixed.solve(inputs, place, turn, 0.0, first, rests, vector)
 
     def margin(self, x: Array, u: Array) -> float:
         """Least stiffness of strains ``x`` (n_strains,) against deformations that leave the tip where it is held.

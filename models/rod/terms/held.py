@@ -30,7 +30,7 @@ class HeldTip:
 
     Args:
         position: of the tip in m; None leaves it free.
-        rotation: rotation vector of the tip in rad; None lets it turn freely.
+        rotation: rotation vector of the tip in rad, many turns are many times 2 pi; None lets it turn freely.
         axes: world axes along which the position is prescribed, e.g. "xy" for a tip that slides along z.
         velocity, acceleration: of the tip in m/s, m/s^2.
         spin, spin_rate: angular velocity of the tip and its rate in rad/s, rad/s^2.
@@ -113,8 +113,11 @@ class HeldTip:
 
         ``inputs`` are symbols by name.
         """
-        turn = self._read(self.rotation or _ZERO, inputs)
-        return self._read(self.position or _ZERO, inputs), rotation_matrix(exponential(turn))
+        return self._read(self.position or _ZERO, inputs), rotation_matrix(exponential(self.turn(inputs)))
+
+    def turn(self, inputs: dict[str, ca.SX]) -> ca.SX:
+        """Rotation vector (3,) in symbols; zero where the tip turns freely. ``inputs`` are symbols by name."""
+        return self._read(self.rotation or _ZERO, inputs)
 
     def rates(self, inputs: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Velocity, acceleration, spin and its rate, (3,) each, in symbols. ``inputs`` are symbols by name."""
