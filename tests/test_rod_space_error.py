@@ -68,3 +68,11 @@ def test_a_rod_at_rest_is_off_by_its_equilibrium_alone() -> None:
     error = SpaceError(scene.statics().resolution).of(found)
     assert abs(error.distance[0] / (held.error * scene.rod.length) - 1.0) < 0.1
     assert np.abs(error.distance / error.distance[0] - 1.0).max() < 0.01
+
+
+def test_a_scene_of_one_input_is_checked_too() -> None:
+    """CasADi takes no entries of a vector of one for a row, which made the defect one entry too long."""
+    body = rod.Rod(0.3, rod.Circle(5e-3), rod.Elastic(2e6, 8e5, 1070.0), "planar")
+    pulled = rod.Tendons([(0.004, 0.0)], rod.Tension())
+    run = rod.Scene(body, pulled, rod.Retardation(0.02), nodes=4).simulator(0.02).run(np.full((6, 1), 0.02))
+    assert run.success and run.error is not None

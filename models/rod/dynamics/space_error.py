@@ -121,5 +121,5 @@ class SpaceError(Rebuilt):
             xi, xi_t, xi_tt, acting, balance = self.finer.dynamic_balance
         hidden = self.finer.layout.n_overstress
         residual = balance.residual / ca.DM(self.finer.nominal_residual)
-        motion = ca.vertcat(xi, xi_t, xi_tt, acting[:hidden])
-        return ca.Function("defect", [motion, acting[hidden:]], [residual], {"cse": True})
+        motion = ca.vertcat(xi, xi_t, xi_tt, acting[:hidden, :])  # [:hidden] of one entry is a row
+        return ca.Function("defect", [motion, acting[hidden:, :]], [residual], {"cse": True})

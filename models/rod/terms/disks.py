@@ -17,7 +17,7 @@ from pisplit.models.rod.kinematics.strains import rotation_vector, turn_rows
 from pisplit.models.rod.terms.routing import Route, sample
 
 #: Angle in rad between two chords below which friction at a disk sets in smoothly.
-WRAP_FLOOR = 1e-4
+WRAP_FLOOR = 1e-6
 #: Nodes of a piece of the rod over which a chord's pose is integrated: good to the sixth power of its angle.
 PIECE = GaussRule(1.0, 3)
 #: Speed above which Stribeck friction is that of fast slip, in speeds over which it turns round.

@@ -33,7 +33,7 @@ from pisplit.smooth import softplus
 #: Strain of a displaced tendon over which slack sets in when no tension is given: 0.1 N on the paper's arm.
 SLACK_STRAIN = 1e-5
 #: Turning over the length of the rod in rad below which capstan friction sets in smoothly.
-TURN_FLOOR = 1e-3
+TURN_FLOOR = 1e-6
 #: What tendons over disks offer for reading.
 READINGS = ("tension", "length", "unpulled_length", "chord_tension")
 #: Offsets in m that are rounding, such as the sine of 180 degrees.
