@@ -9,6 +9,7 @@ from pisplit.models.calibration.model import Calibration, CalibrationError, nomi
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.parametrised import CalibratedTendons
 from pisplit.models.calibration.recordings import calibrate_from_recordings
+from pisplit.models.calibration.ring_down import FoundDamping, calibrate_damping
 
 __all__ = [
     "CalibratedTendons",
@@ -16,8 +17,10 @@ __all__ = [
     "CalibrationChoice",
     "CalibrationError",
     "Estimate",
+    "FoundDamping",
     "TendonParameters",
     "TriedCalibration",
+    "calibrate_damping",
     "calibrate_from_equilibria",
     "calibrate_from_markers",
     "calibrate_from_pairs",
