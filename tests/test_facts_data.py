@@ -19,7 +19,7 @@ from pisplit.data.recordings import _jitter, _step
 from pisplit.data.resampling import BRIDGED, Signal, _both, longest_gap, pieces
 from pisplit.data.store import _release
 from pisplit.data.units import UNITS, to_si
-from pisplit.lifted.formats import _listed
+from pisplit.lifted.c_code import listed
 from pisplit.lifted.operators import state_range
 
 PREFIXES = {"": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "h": 1e2, "k": 1e3, "M": 1e6}
@@ -228,8 +228,8 @@ def test_warnings_point_to_the_line_that_reads_the_recording() -> None:
 
 
 def test_names_in_a_comment_of_c_do_not_end_it() -> None:
-    assert _listed(("a*/b", "c"), ("m", "")) == "a* /b [m], c"
-    assert _listed((), ()) == "none" and _listed(("q\u00e9",), ("",)) == "q?"
+    assert listed(("a*/b", "c"), ("m", "")) == "a* /b [m], c"
+    assert listed((), ()) == "none" and listed(("q\u00e9",), ("",)) == "q?"
 
 
 def signal(times: np.ndarray) -> Signal:

@@ -34,7 +34,8 @@ class Equilibrium:
         branch: ``"unique"`` (there is no other equilibrium), ``"followed"`` (slow loading of the unloaded rod, or slow
             motion of the inputs from the given state, ends here), ``"snapped"`` (the same, and stability was lost on
             the way: the rod buckled or snapped through and came to rest again), ``"given"`` (stable and near the guess;
-            how it is reached is not known) or ``"unverified"``.
+            how it is reached is not known), ``"settled"`` (a base on a joint was let go and came to rest) or
+            ``"unverified"``.
         load_factor: part of the loads, or of the change of inputs, at which stability was lost first; 1 if it was not.
         scene: the scene in equilibrium.
     """

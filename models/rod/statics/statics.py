@@ -18,8 +18,10 @@ from pisplit.models.rod.statics.branch import RESTING, Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.held_scene import HeldScene
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
+from pisplit.models.rod.statics.jointed import JointedScene
 from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE, Search, attempt
+from pisplit.models.rod.terms.base import joint_of
 from pisplit.models.rod.terms.held import held_tip
 
 
@@ -28,7 +30,8 @@ class Statics(Rebuilt):
 
     KINSOL or Newton's method finds a root; unless it is the only one, it is unloaded step by step, or loading is
     followed from nothing. Where the tip is held (``HeldTip``), the free rod is loaded first, and its tip is then moved
-    to its place as ``pin_tip`` does.
+    to its place as ``pin_tip`` does. A base with a hinge or slides is let go where it is and comes to rest downhill:
+    see ``JointedScene``.
 
     May be copied, pickled and sent to workers; calls from several threads wait for one another.
 
@@ -56,6 +59,12 @@ class Statics(Rebuilt):
         return None if tip is None else HeldScene(self.scene, tip)
 
     @cached_property
+    def jointed(self) -> JointedScene | None:
+        """Lets the base come to rest, None where it is clamped."""
+        base = joint_of(self.scene.terms)
+        return None if base is None else JointedScene(self.scene, base)
+
+    @cached_property
     def resolution(self) -> Resolution:
         """Tells whether the nodes are enough."""
         return Resolution(self.scene)
@@ -81,8 +90,8 @@ class Statics(Rebuilt):
     def _need_clamp(self) -> None:
         if self.scene.n_joint:
             raise ValueError(
-                "equilibria need a base that is clamped; this one has a hinge or slides: let it come to rest by a "
-                "motion with damping, from scene.state(...)"
+                "this needs a base that is clamped, and the scene has one with a hinge or slides; ask for it of the "
+                "rod on Base(position, rotation)"
             )
 
     # Solving ---------------------------------------------------------------------------------------------------------
@@ -99,10 +108,11 @@ class Statics(Rebuilt):
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
-        self._need_clamp()
         scene, search = self.scene, self.search
         u = scene.checked_inputs(np.zeros(scene.n_inputs) if u is None else u, "u", (scene.n_inputs,))
         x0 = np.zeros(scene.n_strains) if guess is None else self._scaled(guess)
+        if self.jointed is not None:
+            return self.jointed.solve(u, None if guess is None else search.strains(x0))
         if self.held is not None:
             return self._solve_held(self.held, u, None if guess is None else search.strains(x0))
         x, iterations, solver = search.find(u, x0, self.branches.unique(u))
@@ -152,7 +162,7 @@ class Statics(Rebuilt):
             scene=self.scene,
         )
 
-    def _many_held(self, rows: Array, near: Array | None, follow: bool, progress: bool) -> EquilibriumBatch:
+    def _one_by_one(self, rows: Array, near: Array | None, follow: bool, progress: bool) -> EquilibriumBatch:
         """Equilibria (N) under rows of inputs, from states ``near`` (N, n_states), or each from the one before it."""
         found: list[Equilibrium] = []
         last: Array | None = None
@@ -196,12 +206,11 @@ class Statics(Rebuilt):
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
-        self._need_clamp()
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
-        if self.held is not None:
+        if self.held is not None or self.jointed is not None:
             given = None if near is None else finite_array(near, "near", (len(rows), scene.n_states))
-            return self._many_held(rows, given, False, progress)
+            return self._one_by_one(rows, given, False, progress)
         found = np.empty((len(rows), scene.n_strains))
         worst = np.empty(len(rows))
         mild, resting = all(self.branches.unique(u) for u in rows), np.zeros(len(rows), dtype=bool)
@@ -247,11 +256,10 @@ class Statics(Rebuilt):
         Args:
             inputs: (N, n_inputs) in the order of the path.
         """
-        self._need_clamp()
         scene, search = self.scene, self.search
         rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
-        if self.held is not None:
-            return self._many_held(rows, None, True, False)
+        if self.held is not None or self.jointed is not None:
+            return self._one_by_one(rows, None, True, False)
         found, tensions = np.empty((len(rows), scene.n_strains)), []
         worst, factor = np.empty(len(rows)), np.ones(len(rows))
         branch = np.full(len(rows), "unverified", dtype=object)
@@ -304,8 +312,9 @@ class Statics(Rebuilt):
         Negative: unstable. Without an energy (follower loads, friction) it is the least real part of the eigenvalues,
         which rules out buckling, not flutter.
         """
-        self._need_clamp()
         strains, *_, u = self.scene.layout.split(checked_state(self.scene, state))
+        if self.jointed is not None:
+            return self.jointed.margin(strains, u)
         if self.held is not None:
             return self.held.margin(strains, u)
         return self.branches.margin(self.search.scaled(strains), u)
@@ -421,8 +430,12 @@ class Statics(Rebuilt):
 
         In parts of the length, along the whole rod; that of the grid alone: see ``Resolution``.
         """
-        self._need_clamp()
-        return self.resolution.error(checked_state(self.scene, state))
+        x = checked_state(self.scene, state)
+        if self.jointed is not None:
+            strains, *_, u = self.scene.layout.split(x)
+            clamped = self.jointed.clamped.statics()
+            return clamped.error(self.jointed.of_clamped(strains, u))
+        return self.resolution.error(x)
 
     # Guesses and readings --------------------------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ class Base:
 
     A base with a ``hinge`` or ``slides`` is free in some directions, from the prescribed pose on: its joint coordinates
     (slides in m in their order, then the angle of a hinge in rad or the rotation vector of a ball joint) stand behind
-    the strains of a state, so that no constraint drifts. Equilibria of such rods are not found: ``Scene.statics``.
+    the strains of a state, so that no constraint drifts.
 
     Each argument is three numbers or an ``Input`` of size 3, in world axes. They are taken as they are given: whoever
     drives several of them sees to it that velocity and acceleration are the derivatives of the position (an arm on a
