@@ -37,6 +37,8 @@ def test_the_ratio_of_a_ring_down_is_that_of_the_drawing() -> None:
     assert abs(found.bending - true) < 3.0 * found.error < 0.3 * true
     assert found.ratio == pytest.approx(RATIO, abs=3.0 * RATIO * found.error / true)
     assert found.frequency == pytest.approx(float(mode.frequency[0]), rel=1e-3)
+    (axis,) = found.plot().axes
+    assert f"{found.frequency:.3g} Hz" in axis.get_legend().texts[1].get_text()
     with pytest.raises(ValueError, match=r"inputs move by 0\.001 m; a ring-down holds them"):
         moved = u + 1e-3 * (np.arange(steps) > 5)[:, None]
         calibrate_damping(arm, Episodes([seen], [moved], DT, state_names=capture.names), capture)

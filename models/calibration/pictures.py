@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from pisplit.models.calibration.choice import CalibrationChoice
     from pisplit.models.calibration.model import Calibration
+    from pisplit.models.calibration.ring_down import FoundDamping
 
 
 def plot_calibration(found: Calibration, path: str | os.PathLike[str] | None) -> Figure:
@@ -66,5 +67,26 @@ def plot_choice(found: CalibrationChoice, path: str | os.PathLike[str] | None) -
         yticklabels=[t.name for t in found.tried],
     )
     axis.invert_yaxis()
+    tidy(axis)
+    return keep(figure, path)
+
+
+def plot_damping(found: FoundDamping, path: str | os.PathLike[str] | None) -> Figure:
+    """Free decay of the slowest motion over eight periods, and its envelope within two standard errors of ``found``.
+
+    Written to ``path`` where one is given.
+    """
+    figure = new_figure(8.0, 3.6)
+    axis = figure.subplots()
+    periods = np.linspace(0.0, 8.0, 801)
+    spread = 2.0 * found.ratio * found.error / found.bending
+    envelopes = [np.exp(-2.0 * np.pi * max(z, 0.0) * periods) for z in (found.ratio - spread, found.ratio + spread)]
+    seconds = periods / found.frequency
+    told = f"damping ratio {found.ratio:.3g} +- {spread:.1g}"
+    axis.fill_between(seconds, *envelopes, color="#d95f02", alpha=0.35, lw=0.0, label=f"envelope, {told}")
+    decay = np.exp(-2.0 * np.pi * found.ratio * periods) * np.cos(2.0 * np.pi * periods)
+    axis.plot(seconds, decay, color=MEASURED, label=f"slowest motion, {found.frequency:.3g} Hz")
+    axis.set(xlabel="time (s)", ylabel="displacement / that at the release", title=f"{found.bending:.3g} N m$^2$ s")
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=2, frameon=False)
     tidy(axis)
     return keep(figure, path)

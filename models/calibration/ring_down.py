@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,8 @@ from pisplit.models.calibration.model import Calibration
 from pisplit.models.rod import KelvinVoigt
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pisplit.models.arm.tendon_arm import TendonArm
 
 #: Change of the inputs, in parts of the arm's usual displacement, up to which they count as held.
@@ -39,6 +42,12 @@ class FoundDamping:
     ratio: float
     frequency: float
     calibration: Calibration
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """The slowest motion as the damping found has it, with two standard errors; written to ``path`` if given."""
+        from pisplit.models.calibration.pictures import plot_damping
+
+        return plot_damping(self, path)
 
 
 def calibrate_damping(
