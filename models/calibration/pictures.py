@@ -80,10 +80,10 @@ def plot_damping(found: FoundDamping, path: str | os.PathLike[str] | None) -> Fi
     axis = figure.subplots()
     periods = np.linspace(0.0, 8.0, 801)
     spread = 2.0 * found.ratio * found.error / found.bending
-    envelopes = [np.exp(-2.0 * np.pi * max(z, 0.0) * periods) for z in (found.ratio - spread, found.ratio + spread)]
+    low, high = (np.exp(-2.0 * np.pi * max(found.ratio + s, 0.0) * periods) for s in (spread, -spread))
     seconds = periods / found.frequency
     told = f"damping ratio {found.ratio:.3g} +- {spread:.1g}"
-    axis.fill_between(seconds, *envelopes, color="#d95f02", alpha=0.35, lw=0.0, label=f"envelope, {told}")
+    axis.fill_between(seconds, low, high, color="#d95f02", alpha=0.35, lw=0.0, label=f"envelope, {told}")
     decay = np.exp(-2.0 * np.pi * found.ratio * periods) * np.cos(2.0 * np.pi * periods)
     axis.plot(seconds, decay, color=MEASURED, label=f"slowest motion, {found.frequency:.3g} Hz")
     axis.set(xlabel="time (s)", ylabel="displacement / that at the release", title=f"{found.bending:.3g} N m$^2$ s")
