@@ -54,7 +54,7 @@ def report(path: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], str]:
     folder = tmp_path_factory.mktemp("demo")
-    ended = script("mpc_demo.py", "--quick", "--episodes", "4", "--json", "deep/out.json", folder=folder)
+    ended = script("mpc_demo.py", "--quick", "--episodes", "6", "--json", "deep/out.json", folder=folder)
     assert ended.returncode == 0, ended.stderr[-2000:]
     return folder, report(folder / "deep" / "out.json"), ended.stdout
 

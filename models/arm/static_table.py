@@ -135,7 +135,7 @@ class EquilibriumTable:
 
     def displacements(self, moves: Array) -> Array:
         """Inputs (m,) of differential moves (2,) in m along the axes of the table."""
-        inputs: Array = self.arm.rest_inputs + self.arm.differential_basis @ moves
+        inputs: Array = self.function.within.rest + self.function.within.basis @ moves
         return inputs
 
     def inverse(self, target: ArrayLike, guess: ArrayLike | None = None) -> Array:
@@ -147,14 +147,13 @@ class EquilibriumTable:
 
         wanted = _target(target)
         given = np.flatnonzero(np.isfinite(wanted))
-        rows = len(self.names) - 3 + given
-        value, slope = self._derivatives
+        tip, slope = self._tip
 
         def miss(moves: Array) -> Array:
-            return 1e3 * (np.asarray(value(self.displacements(moves))).ravel()[rows] - wanted[given])
+            return 1e3 * (tip(moves).toarray().ravel()[given] - wanted[given])
 
         def sensitivity(moves: Array) -> Array:
-            return 1e3 * np.asarray(slope(self.displacements(moves)))[rows] @ self.arm.differential_basis
+            return 1e3 * slope(moves).toarray()[given]
 
         start = np.zeros(2) if guess is None else np.clip(finite_array(guess, "guess", (2,)), *self._box)
         found = least_squares(miss, start, jac=sensitivity, bounds=self._box, x_scale=1e-3, xtol=1e-12, ftol=1e-15)
@@ -165,9 +164,11 @@ class EquilibriumTable:
         return np.full(2, -self.half_width), np.full(2, self.half_width)
 
     @cached_property
-    def _derivatives(self) -> tuple[ca.Function, ca.Function]:
-        u = ca.MX.sym("u", self.arm.scene.n_inputs)
-        return self.function, ca.Function("slope", [u], [ca.jacobian(self.function(u), u)])
+    def _tip(self) -> tuple[ca.Function, ca.Function]:
+        """Tip (3,) in m, and its derivative (3, 2), by differential moves (2,) in m."""
+        within, moves = self.function.within, ca.MX.sym("moves", 2)
+        tip = self.function(ca.DM(within.rest) + ca.DM(within.basis) @ moves)[-3:]
+        return ca.Function("tip", [moves], [tip]), ca.Function("slope", [moves], [ca.jacobian(tip, moves)])
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Where the tip gets, and how far by input; written to ``path`` where one is given."""

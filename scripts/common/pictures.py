@@ -10,9 +10,11 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
+from PIL import Image
 from tqdm import tqdm
 
 from common.drawing import save_figure
@@ -21,6 +23,8 @@ from pisplit.files import replacing
 
 Array = NDArray[np.float64]
 
+#: Frames a second of animations.
+RATE = 15
 COLOURS = {"feed-forward": "#999999", "L-EDMDc": "#d95f02", "PI-EDMDc": "#1b6ca8", "PI-EDMDc LASSO": "#2a9d5c"}
 plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False})
 plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False, "savefig.dpi": 130})
@@ -86,31 +90,34 @@ def draw_shapes(log: LoopLog, stations: int, path: Path, title: str) -> None:
 
 
 def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 80) -> None:
-    """GIF of the arm following the reference, at half of real time or faster."""
+    """GIF of the arm following the reference, at half of real time or faster; axes are drawn once for all frames."""
     backbone = 1e3 * shapes(log, stations)
     chosen = np.linspace(0, len(backbone) - 1, frames).astype(int)
-    figure = plt.figure(figsize=(6.0, 5.6))
-    axis = figure.add_subplot(projection="3d")
+    figure = Figure(figsize=(6.0, 5.6), dpi=80)
+    canvas = FigureCanvasAgg(figure)
+    axis: Any = figure.add_subplot(projection="3d")
     _frame(axis, backbone)
-    (line,) = axis.plot([], [], [], color="#1b6ca8", lw=3.0)
-    (trace,) = axis.plot([], [], [], color="#1b6ca8", lw=0.9, alpha=0.6)
-    (target,) = axis.plot([], [], [], "k--", lw=0.8)
     wanted = 1e3 * log.reference
     height = np.where(np.isnan(wanted[:, 2]), backbone[:, -1, 2], wanted[:, 2])
-    target.set_data_3d(wanted[:, 0], wanted[:, 1], height)
-    bar = tqdm(total=frames, desc="animation", unit="frame")
-
-    def show(k: int) -> None:
+    axis.plot(wanted[:, 0], wanted[:, 1], height, "k--", lw=0.8)
+    (line,) = axis.plot([], [], [], color="#1b6ca8", lw=3.0)
+    (trace,) = axis.plot([], [], [], color="#1b6ca8", lw=0.9, alpha=0.6)
+    said = figure.text(0.5, 0.94, "", ha="center")
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)  # type: ignore[attr-defined]  # drawn before there was data to move
+    pages = []
+    for k in tqdm(chosen, desc="animation", unit="frame"):
+        canvas.restore_region(still)  # type: ignore[attr-defined]
         line.set_data_3d(*smooth_backbone(backbone[k]).T)
         trace.set_data_3d(*backbone[: k + 1, -1].T)
-        axis.set_title(f"{title}, t = {log.t[k]:.2f} s")
-        bar.update()
-
-    film = FuncAnimation(figure, lambda i: show(int(chosen[i])), frames=frames, init_func=lambda: None)
-    with replacing(path) as part:
-        film.save(part, writer=PillowWriter(fps=15), dpi=80)
-    bar.close()
-    plt.close(figure)
+        said.set_text(f"{title}, t = {log.t[k]:.2f} s")
+        for artist in (line, trace, said):
+            figure.draw_artist(artist)
+        pages.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+    colours = pages[-1].quantize(128)  # the last one shows all there is
+    pages = [page.quantize(palette=colours, dither=Image.Dither.NONE) for page in pages]
+    with replacing(path) as part, open(part, "wb") as file:
+        pages[0].save(file, "GIF", save_all=True, append_images=pages[1:], duration=round(1e3 / RATE), loop=0)
 
 
 def _frame(axis: Any, points: Array) -> None:
