@@ -150,10 +150,10 @@ class EquilibriumTable:
         tip, slope = self._tip
 
         def miss(moves: Array) -> Array:
-            return 1e3 * (tip(moves).toarray().ravel()[given] - wanted[given])
+            return 1e3 * (np.asarray(tip(moves)).ravel()[given] - wanted[given])
 
         def sensitivity(moves: Array) -> Array:
-            return 1e3 * slope(moves).toarray()[given]
+            return 1e3 * np.asarray(slope(moves))[given]
 
         start = np.zeros(2) if guess is None else np.clip(finite_array(guess, "guess", (2,)), *self._box)
         found = least_squares(miss, start, jac=sensitivity, bounds=self._box, x_scale=1e-3, xtol=1e-12, ftol=1e-15)
