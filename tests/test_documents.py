@@ -94,7 +94,7 @@ SHORTER = {
     },
     "README.md": {
         "arm.record(10), arm.record(4, seed=1)": "arm.record(4, steps=60), arm.record(1, steps=60, seed=1)",
-        "arm=arm": "arm=arm, candidates=['PI-EDMDc, hold']",
+        "arm=arm": "arm=arm, candidates=['L-EDMDc']",
         "steps=400": "steps=20",
     },
     "docs/front.md": {"episodes=10": "episodes=4, steps=60", "samples=4000": "samples=400", "steps=400": "steps=20"},

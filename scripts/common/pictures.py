@@ -104,10 +104,10 @@ def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 8
     (trace,) = axis.plot([], [], [], color="#1b6ca8", lw=0.9, alpha=0.6)
     said = figure.text(0.5, 0.94, "", ha="center")
     canvas.draw()
-    still = canvas.copy_from_bbox(figure.bbox)  # type: ignore[attr-defined]  # drawn before there was data to move
+    still = canvas.copy_from_bbox(figure.bbox)  # drawn before there was data to move
     pages = []
     for k in tqdm(chosen, desc="animation", unit="frame"):
-        canvas.restore_region(still)  # type: ignore[attr-defined]
+        canvas.restore_region(still)
         line.set_data_3d(*smooth_backbone(backbone[k]).T)
         trace.set_data_3d(*backbone[: k + 1, -1].T)
         said.set_text(f"{title}, t = {log.t[k]:.2f} s")
