@@ -235,6 +235,15 @@ def test_every_picture_is_drawn_and_shows_data(made: Made, tmp_path: Path) -> No
         assert not written or (tmp_path / f"{name}.png").stat().st_size > 8_000, name
 
 
+def test_no_result_floods_a_prompt(made: Made) -> None:
+    """Arrays are told by their shapes; recordings of any length take a line."""
+    d1, _ = made.data
+    for name, result in {**made.results(), "Episodes": d1, "PhaseSamples": made.samples, "Report": d1.report()}.items():
+        assert len(repr(result)) < 1000, f"{name}: {len(repr(result))} letters"
+    assert repr(d1) == "Episodes(6 of 120 steps of 0.05 s, 2 states: x, v, 1 input: u1)"
+    assert "x=13 x " in repr(made.motion)
+
+
 def test_a_picture_of_errors_shows_these_errors(made: Made) -> None:
     errors = made.model.score(made.data[1])
     (axis,) = errors.plot().axes

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from pisplit.brief import brief
 from pisplit.checks import Array, non_negative
 from pisplit.controllers.loop.pacing import TOLERANCE
 from pisplit.data import store
@@ -39,6 +40,7 @@ def shown_unit(unit: str) -> tuple[str, float]:
     return SHOWN.get(unit, (unit, 1.0))
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class LoopLog:
     """Record of N closed-loop steps; states have N + 1 rows, row 0 at the start.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pisplit import Episodes
+from pisplit.brief import brief
 from pisplit.checks import Array, count, finite_array, non_negative, positive
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.recording import make_episodes, random_targets
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 SEVERAL = 600
 
 
+@brief
 @dataclass(frozen=True)
 class RestShapes:
     """Shapes of an arm at rest: all that is asked of a robot before it moves.

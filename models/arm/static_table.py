@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pisplit.brief import brief
 from pisplit.checks import Array, count, finite_array, positive, real_array
 from pisplit.models.arm.tendon_arm import TendonArm
 
@@ -97,6 +98,7 @@ def _restored(text: str, within: TableRange) -> TableFunction:
     return TableFunction(ca.Function.deserialize(text), within)
 
 
+@brief
 @dataclass(frozen=True)
 class EquilibriumTable:
     """Equilibrium strains and station positions as a cubic spline over differential displacements.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import t as student
 
+from pisplit.brief import brief
 from pisplit.checks import Array
 from pisplit.data.actuator import Actuator
 from pisplit.models.arm.predictor import ArmPredictor
@@ -90,6 +91,7 @@ def worth(gain: float, spread: float) -> bool:
     return gain > max(spread, np.log1p(MARGIN))
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class CalibrationChoice:
     """The calibration that predicts held-out recordings best, and all that was tried.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pisplit.brief import brief
 from pisplit.checks import Array, positive
 from pisplit.data.actuator import Actuator
 from pisplit.models.arm.motion_capture import MotionCapture
@@ -60,6 +61,7 @@ class CalibrationError(RuntimeError):
         self.calibration = calibration
 
 
+@brief
 @dataclass(frozen=True)
 class Calibration:
     """Identified arm.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pisplit import Episodes
+from pisplit.brief import brief
 from pisplit.checks import positive
 from pisplit.models.arm.drawing import slowest
 from pisplit.models.arm.motion_capture import MotionCapture
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 HELD = 1e-3
 
 
+@brief
 @dataclass(frozen=True)
 class FoundDamping:
     """Material damping of the backbone.

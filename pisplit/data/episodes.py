@@ -51,7 +51,8 @@ class Episodes:
     state_names    (n,) default x1, x2, ..., or the names of the columns where xs are tables (pandas)
     input_names    (m,) default u1, u2, ..., or as above
     quantities     (n,) physical quantity of each state ("p", "R", "q", ...): states of one quantity share one scale in
-                   regressions; default: each state is its own
+                   regressions, so that one that hardly moves is not blown up to the size of the others, its noise
+                   with it; default: states of one unit are of one quantity, any other is its own
     units          (n,) units of the states, texts; "" where unknown
     outputs        {name: indices of states}, groups of states
     extra          {name: one array an episode} saved along, for instance the full simulator state
@@ -86,8 +87,9 @@ class Episodes:
         put(self, "dt", positive(self.dt, "dt", "s"))
         put(self, "state_names", labels(self.state_names, "state_names", default_names("states", self.n_states)))
         put(self, "input_names", labels(self.input_names, "input_names", default_names("inputs", self.n_inputs)))
-        put(self, "quantities", labels(self.quantities, "quantities", self.state_names or (), unique=False))
         put(self, "units", labels(self.units, "units", [""] * self.n_states, unique=False))
+        shared = _shared_by_unit(self.state_names or (), self.units or ())
+        put(self, "quantities", labels(self.quantities, "quantities", shared, unique=False))
         put(self, "input_units", labels(self.input_units, "input_units", [""] * self.n_inputs, unique=False))
         put(self, "outputs", output_groups(self.outputs or {}, self.n_states))
         put(self, "extra", extra_arrays(self.extra or {}, len(xs)))
@@ -96,6 +98,12 @@ class Episodes:
             json.dumps(self.provenance)
         except TypeError as error:
             raise ValueError(f"provenance cannot be written as JSON: {error}; use numbers, texts, lists") from None
+
+    def __repr__(self) -> str:
+        steps = sorted({len(u) for u in self.us})
+        length = f"{steps[0]}" if len(steps) == 1 else f"{steps[0]} to {steps[-1]}"
+        told = [_few(self.state_names or (), "state"), _few(self.input_names or (), "input")]
+        return f"Episodes({len(self)} of {length} steps of {self.dt:g} s, {', '.join(told)})"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update({**state, "extra": extra_arrays(state["extra"], len(state["xs"]))})
@@ -385,6 +393,18 @@ class Episodes:
         ``options`` and errors as in :func:`pisplit.data.matlab.from_mat`.
         """
         return cls(**matlab.from_mat(path, time, states, inputs, **options))
+
+
+def _shared_by_unit(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    """The unit of every state whose unit others have too, else its name; pure numbers are of many kinds."""
+    return [
+        u if u not in ("", "1") and list(units).count(u) > 1 else name for name, u in zip(names, units, strict=True)
+    ]
+
+
+def _few(names: Sequence[str], what: str) -> str:
+    shown = list(names) if len(names) < 5 else [*names[:2], "...", names[-1]]
+    return f"{len(names)} {what}{'s' * (len(names) != 1)}{': ' * bool(names)}{', '.join(shown)}"
 
 
 def _either(wanted: Sequence[str] | None, given: Sequence[str] | None) -> list[str]:

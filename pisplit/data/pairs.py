@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import count
 from pisplit.data.mapped import release
 from pisplit.data.rows import frozen, refrozen
@@ -33,6 +34,7 @@ class Start:
     states: Array
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Pairs:
     """N snapshot pairs with their history, as positions in the rows of all episodes: no state is stored twice.

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import finite_array, positive
 from pisplit.data import store
 from pisplit.data.columns import column_order, labels, table_columns
@@ -32,6 +33,7 @@ class KnownSystem(Protocol):
         """Flow of f over ``t`` seconds from states (N, n) at constant inputs (N, m)."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class PhaseSamples:
     """N samples of phase space with the known part of the dynamics.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.data import suspicions
 from pisplit.data.latency import Latency, find_latency
 
@@ -51,6 +52,7 @@ class Column:
     suspicions: tuple[str, ...]
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class DataReport:
     """Facts about recordings, by :meth:`pisplit.Episodes.report`; ``str`` is a table of them, :meth:`plot` a picture.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import finite_array
 from pisplit.data.actuator import Actuator
 from pisplit.data.episodes import Episodes
@@ -30,6 +31,7 @@ WORTH, WORTH_OF_ALL = 0.05, 0.02
 REFINEMENTS = 4
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class FoundActuator:
     """The ``actuator`` that explains recordings best, and how well.

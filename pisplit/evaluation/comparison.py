@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes
 from pisplit.data.pairs import Pairs
@@ -47,6 +48,7 @@ class Estimator(Protocol):
         """Errors of open-loop roll-outs of ``episodes`` over ``states`` (output group, names or indices)."""
 
 
+@brief
 @dataclass(frozen=True)
 class Comparison:
     """Open-loop errors of several models on the same episodes.
@@ -116,6 +118,7 @@ def compare(
     )
 
 
+@brief
 @dataclass(frozen=True)
 class LearningCurve:
     """Median squared roll-out errors over the number of training pairs, one for every draw of pairs.

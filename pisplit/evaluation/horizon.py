@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-13
 
 
+@brief
 @dataclass(frozen=True)
 class HorizonErrors:
     """Errors h steps after the start of roll-outs that start along the episodes.

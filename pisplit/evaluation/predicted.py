@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import count, finite_array
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
@@ -28,6 +29,7 @@ ROLLOUTS = 16
 CORRECTED = 10.0
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class PredictedError:
     """Squared distances of disturbed roll-outs from those of the model, summed over the chosen states.

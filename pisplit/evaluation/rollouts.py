@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import finite_array
 from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+@brief
 @dataclass(frozen=True)
 class RolloutErrors:
     """Squared errors of open-loop roll-outs, |x_hat - x|^2 summed over the chosen states.

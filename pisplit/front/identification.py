@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from pisplit import Episodes, HorizonErrors, LiftedModel, horizon_errors, predicted_error, rollout_errors
+from pisplit.brief import brief
 from pisplit.data.sums import not_episodes
 from pisplit.front.candidates import CANDIDATES, Candidate, by_hand, fitted
 from pisplit.front.case import GROUPS, Case
@@ -37,6 +38,7 @@ HORIZONS = (1, 3, 10, 30, 100, 300)
 MARGIN = 0.05
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Identified:
     """The model that was chosen, and all that was learned on the way.

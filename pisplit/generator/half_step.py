@@ -12,6 +12,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import check_same_step, one_of, same_step
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
@@ -46,6 +47,7 @@ DRIFT = 0.01
 OR_RIDGE = ", or else penalty='ridge', which never inverts K_f"
 
 
+@brief
 @dataclass(frozen=True)
 class HalfStep:
     """The known half step, on columns divided by their scales.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.generator.generator import (
@@ -37,6 +38,7 @@ RATE_FLOOR = 1e-9
 VANISHING = 1e-10
 
 
+@brief
 @dataclass(frozen=True)
 class Spectrum:
     """Eigenpairs L phi_i = lambda_i phi_i of a generator on the span of Theta, best residual first.

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import finite_array, positive, real_array
 from pisplit.data import store
 from pisplit.data.columns import in_order
@@ -33,6 +34,7 @@ KIND = "pisplit/lifted-model"
 DIVERGENCE_FACTOR = 1e3
 
 
+@brief
 @dataclass(frozen=True)
 class Rollout:
     """Open-loop prediction of one episode, or of E episodes (leading axis E on every field).
@@ -55,6 +57,7 @@ class Rollout:
         return plot_rollout(self, path)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class LiftedModel:
     """z+ = A z + B phi(u) + sum_i u_i N_i z + c (+ g(z, u)),  y = C z + d, in physical units.

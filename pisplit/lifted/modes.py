@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.brief import brief
 from pisplit.lifted.model import LiftedModel
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+@brief
 @dataclass(frozen=True)
 class Modes:
     """Eigenvalues of A, slowest decay first, and what each of them does to the states.

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from pisplit.brief import brief
 from pisplit.checks import count, finite_array
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.modes import refuse_bilinear
@@ -25,6 +26,7 @@ SLOW = 1.0 - 1e-9
 DOUBLINGS = 60
 
 
+@brief
 @dataclass(frozen=True)
 class Reduction:
     """A reduced model and how much it may differ.

@@ -7,6 +7,7 @@ import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pisplit.brief import brief
 from pisplit.models.rod.terms.loads import NoEffect
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Instructions:
         )
 
 
+@brief
 @dataclass(frozen=True)
 class Cost:
     """Instruction counts of a scene; ``print`` shows the table.

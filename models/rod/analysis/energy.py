@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pisplit.brief import brief
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.answers import finite_answer
 from pisplit.models.rod.sharing import lock_of
@@ -43,6 +44,7 @@ class Energies:
         return self.kinetic + self.elastic + self.gravity
 
 
+@brief
 @dataclass(frozen=True)
 class EnergyAccount:
     """Energies along a trajectory in J.

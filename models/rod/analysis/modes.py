@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import null_space
 
+from pisplit.brief import brief
 from pisplit.checks import Array, count, finite_array
 from pisplit.models.rod.analysis.fields import station_points
 
@@ -28,6 +29,7 @@ RESOLVED, ALIKE, SAME = 1e-2, 0.8, 1e-3
 POINTS = 21
 
 
+@brief
 @dataclass(frozen=True)
 class NaturalModes:
     """Natural modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pisplit.brief import brief
 from pisplit.checks import Array
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 POINTS = 20
 
 
+@brief
 @dataclass(frozen=True)
 class MotionError:
     """Estimated error of a motion.

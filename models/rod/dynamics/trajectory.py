@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
+from pisplit.brief import brief
 from pisplit.checks import Array
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
 
+@brief
 @dataclass(frozen=True)
 class Trajectory:
     """States over time.

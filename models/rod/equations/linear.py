@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from pisplit.brief import brief
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.rod.answers import finite_answer
 from pisplit.models.rod.equations.held import slopes
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
 
+@brief
 @dataclass(frozen=True)
 class Linearisation:
     """``d/dt [xi, xi_t] = A ([xi, xi_t] - x0) + B (u - u0) + stress_ports s`` about a state ``(x0, u0)``.

@@ -98,6 +98,11 @@ class Contents:
             if note not in known:
                 warnings.warn(note, NoEffect, stacklevel=level)
 
+    def __repr__(self) -> str:
+        r, terms = self.rod, ", ".join(type(term).__name__ for term in self.terms)
+        nodes = " + ".join(map(str, self.element_nodes))
+        return f"Scene({r.strain_set.name} rod of {r.length:g} m, {nodes} nodes; {terms}; {self.n_inputs} inputs)"
+
     def __str__(self) -> str:
         r = self.rod
         lines = [

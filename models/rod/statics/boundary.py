@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
+from pisplit.brief import brief
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.branch import RESTING, told
@@ -44,6 +45,7 @@ FIRST_WAY, FIRST_BEND = 0.1, 0.5
 STEP = 1e-5
 
 
+@brief
 @dataclass(frozen=True)
 class FixedTipEquilibrium:
     """An equilibrium whose tip is pinned (its position is prescribed) or clamped (its rotation too).

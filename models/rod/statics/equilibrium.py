@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pisplit.brief import brief
 from pisplit.checks import Array
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
 
+@brief
 @dataclass(frozen=True)
 class Equilibrium:
     """A static equilibrium, or the best that was found.
@@ -88,6 +90,7 @@ class Equilibrium:
         return plot_equilibrium(self, path)
 
 
+@brief
 @dataclass(frozen=True)
 class EquilibriumBatch:
     """Equilibria of many inputs; rows that failed hold the last iterate, and ``success`` tells them apart.

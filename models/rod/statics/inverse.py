@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pisplit.brief import brief
 from pisplit.checks import Array, finite_array, positive, real_array
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ MAX_ITERATIONS = 60
 TRUST = 0.1
 
 
+@brief
 @dataclass(frozen=True)
 class InverseSolution:
     """Inputs for a tip position.
