@@ -23,12 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from pisplit import Dictionary, Episodes
+from common.drawing import save_figure
+from common.report import Report, parser, run
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
-from pisplit.controllers import ClosedLoop, LoopLog, plants, references, tune
+from pisplit.controllers import ClosedLoop, KalmanFilter, plants, references, tune
 from pisplit.models.arm import TendonArm, random_displacements
 
 matplotlib.use("Agg")
+from matplotlib import pyplot as plt
 
 Array = NDArray[np.float64]
 
@@ -37,7 +40,7 @@ DT, FRAMES, STATIONS, SEEN, NOISE = 0.05, 5, 6, (1, 3, 5, 6), 3e-4
 MARKERS = [f"p_{axis}[{k}]" for k in SEEN for axis in "xyz"]
 #: Of the commands in the log [mm]; by how much their times are wrong [s].
 ROUNDINGS, SHIFTS = (1e-5, 1e-3, 1e-1), (0.05, -0.05)
-#: Width of the figure-eight [m], its time [s]; steps of approach, settled steps that count.
+#: Width of the figure-eight [m], its time [s]; steps of approach, times round.
 WIDTH, PERIOD, APPROACH, ROUNDS = 0.04, 8.0, 40, 2
 DELAYS = 4
 RIDGES = tuple(np.logspace(-9, 0, 10).tolist())
@@ -104,25 +107,79 @@ def fitted(kind: Any, d1: Episodes) -> Any:
     return kind(theta, "cv", alphas=RIDGES, cv_tolerance=0.1).fit(d1)
 
 
-def eight(steps: int) -> references.Reference:
+def eight() -> references.Reference:
     """The figure-eight about the tip at rest, reached in ``APPROACH`` steps."""
     phase = 2.0 * np.pi * DT * np.arange(round(PERIOD / DT)) / PERIOD
     points = 0.5 * WIDTH * np.column_stack([np.sin(phase), np.sin(2.0 * phase)])
     return references.along(points, PERIOD, approach=APPROACH * DT)
 
 
-def closed(arm: TendonArm, model: Any, held: Episodes, seed: int, steps: int) -> tuple[LoopLog, float, Any]:
-    """The log of the loop, the RMS error of the true tip in mm once it is there, and the controller as tuned."""
+def noise_of(d1: Episodes) -> float:
+    """Noise of a coordinate in m, as the look at the data finds it."""
+    return float(np.median([c.noise for c in d1.report().columns if c.kind == "state" and c.noise]))
+
+
+def closed(arm: TendonArm, model: Any, train: Episodes, held: Episodes, seed: int, steps: int) -> tuple[Array, Array]:
+    """True tip (T, 2) in m in a loop along the figure-eight, and the reference (T, 2), from the approach on."""
     stepper = arm.scene.fast_stepper(DT, stations=STATIONS)
     plant = plants.Markers(stepper, SEEN, NOISE, seed=seed)
     rest, box = arm.rest_inputs, 2.0 * arm.amplitude
+    limits = (rest - box, rest + box, 0.2 * arm.amplitude)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        tuned = tune(
-            model, held, rest - box, rest + box, 0.2 * arm.amplitude, track=MARKERS[-3:], axes=(0, 1), progress=False
-        )
-        log = ClosedLoop(plant, tuned.mpc).run(eight(steps), steps, u0=rest, progress=False)
+        observer = KalmanFilter.from_data(model, train, noise_of(train))
+        settings: dict[str, Any] = {"track": MARKERS[-3:], "axes": (0, 1), "observer": observer}
+        tuned = tune(model, held, *limits, progress=False, **settings)
+        log = ClosedLoop(plant, tuned.mpc).run(eight(), steps, u0=rest, progress=False)
     columns = [stepper.state_names.index(name) for name in MARKERS[-3:-1]]
     true = plant.true_states[: len(log.reference), columns]
-    missed = np.linalg.norm(true - log.reference[: len(true), :2], axis=1)[APPROACH + 20 :]
-    return log, 1e3 * float(np.sqrt(np.mean(missed**2))), tuned
+    return true[APPROACH:], log.reference[APPROACH : len(true), :2]
+
+
+def draw(found: dict[str, tuple[Array, Array]], path: Path) -> None:
+    """Paths of the true tip and its errors, one colour a case."""
+    figure, axes = plt.subplots(1, 2, figsize=(13.0, 5.2), constrained_layout=True)
+    for k, (name, (true, wanted)) in enumerate(found.items()):
+        colour = plt.get_cmap("tab10")(k % 10)
+        axes[0].plot(*(1e3 * true.T), color=colour, lw=1.2)
+        missed = 1e3 * np.linalg.norm(true - wanted, axis=1)
+        axes[1].semilogy(DT * np.arange(len(missed)), np.maximum(missed, 1e-3), color=colour, lw=1.0, label=name)
+    axes[0].plot(*(1e3 * wanted.T), "k--", lw=1.0)
+    axes[0].set(xlabel="tip x (mm)", ylabel="tip y (mm)", aspect="equal", title="true tip; dashed: reference")
+    axes[1].set(xlabel="time (s)", ylabel="distance of the true tip (mm)", title="error")
+    figure.legend(loc="outside lower center", ncols=3)
+    save_figure(figure, path)
+
+
+def main() -> None:
+    """Record, log, load, fit, tune and track, for roundings and clocks."""
+    given = parser((__doc__ or "").splitlines()[0], "out/drawn-arm").parse_args()
+    arm = drawn()
+    print(arm.scene, end="\n\n")
+    episodes, steps = (6, 200) if given.quick else (10, APPROACH + ROUNDS * round(PERIOD / DT))
+    motions = recorded(arm, episodes, 10.0, given.seed)
+    report = Report.of("an arm from a drawing, by its logs alone", given)
+    cases = [(rounding, 0.0, 0.3) for rounding in ROUNDINGS] + [(1e-3, late, 0.5) for late in SHIFTS]
+    cases = cases[1:2] + cases[3:4] if given.quick else cases
+    found: dict[str, tuple[Array, Array]] = {}
+    for number, (rounding, late, target) in enumerate(cases):
+        clock = f"{1e3 * abs(late):.0f} ms {'late' if late > 0.0 else 'early'}" if late else "right"
+        label = f"rounded to {rounding:g} mm, clock {clock}"
+        print(f"{label}:")
+        d1 = logged(given.out / f"logs{number}", motions, rounding, late)
+        origin = d1.provenance or {}
+        if late:
+            report.figure(f"{label}: shift that was made", 1e3 * origin["command_shift"], "ms")
+        train, held = d1[: episodes - 2], d1[episodes - 2 :]
+        for name, kind in (("L-EDMDc", LinearEDMDc), ("B-EDMDc", BilinearEDMDc)):
+            true, wanted = found[f"{name}, {label}"] = closed(arm, fitted(kind, train), train, held, given.seed, steps)
+            error = 1e3 * float(np.sqrt(np.mean(np.sum((true - wanted)[20:] ** 2, axis=1))))
+            print(f"  {name}: {error:.3f} mm")
+            report.figure(f"{label}: {name}, RMS of the true tip", error, "mm", ("<=", target))
+    draw(found, given.out / "paths.png")
+    report.write(given.json)
+    print(f"\n{report}\n\nlogs and picture in {given.out}: paths.png")
+
+
+if __name__ == "__main__":
+    run(main)

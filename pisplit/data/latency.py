@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from pisplit.data.suspicions import noise_level
 
 Array = NDArray[np.float64]
 
@@ -17,6 +20,10 @@ REACH, REACH_STEPS, REACH_PART = 0.3, 10, 0.25
 HISTORY, COMPONENTS, PAIRS_EACH = 4, 16, 40
 #: Stretches of pairs that are learned from and judged on in turn; the most pairs that are looked at.
 STRETCH, PAIRS = 10, 6_000
+#: Noise of a state in parts of its spread, below which it is taken for so much.
+QUIET = 1e-3
+#: Components of the states are used from so many times the noise on; noise is averaged away to this part of the steps.
+HEARD, AUDIBLE = 3.0, 0.05
 #: Pairs that move by more than so many of the largest usual steps are spikes of a sensor, not motion.
 SPIKE = 4.0
 #: One tap of the commands is enough if its residual exceeds that of two by no more than this part.
@@ -58,8 +65,9 @@ class Latency:
 def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency:
     """Scan the delay between commands and motion: that at which a linear map predicts the next sample best.
 
-    The map takes four samples of up to 16 principal components of the states and the command, shifted by a delay that
-    need not be whole steps; it is fitted to one half of the pairs and judged on the other.
+    The map takes four samples of up to 16 principal components of the states, each weighed by its noise, and the
+    command, shifted by a delay that need not be whole steps; it is fitted to one half of the pairs and judged on the
+    other. Where noise is large beside the steps, states and commands pass the same moving average.
 
     xs, us  states (T_i + 1, n) and inputs (T_i, m), one array an episode, row k held from sample k to k + 1
     dt      step [s]
@@ -97,6 +105,19 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
     return Latency(dt * best if told else None, dt * error if told else np.inf, least, usual, tried)
 
 
+def _averaged(z: Array, u: Array, reach: int) -> tuple[Array, Array]:
+    """Means of states (T+1, r), whose noise is one at most, and of inputs (T, m) over as many samples as it takes.
+
+    Noise is then small beside the steps; both pass the same window, which moves neither against the other.
+    """
+    steps = float(np.sqrt((np.diff(z, axis=0) ** 2).sum(axis=1).mean() / 2.0))
+    size = 1 + 2 * min(reach // 4, round(float(np.clip(0.5 / (AUDIBLE * max(steps, 1e-300)), 0.0, reach))))
+    if size == 1:
+        return z, u
+    smooth = [np.asarray(uniform_filter1d(part, size, axis=0, mode="nearest")) for part in (z, u)]
+    return smooth[0], smooth[1]
+
+
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """Pairs far from the ends of their episodes: histories (N, h), steps (N, r), commands around each (N, w, m)."""
@@ -115,12 +136,16 @@ class _Pairs:
         moving, commanded = spread > 1e-9 * np.abs(x).max(axis=0, initial=0.0), np.ptp(u, axis=0) > 0.0
         if not moving.any() or not commanded.any():
             return None
-        scale = np.where(moving, spread, np.inf)
-        _, _, axes = np.linalg.svd(((x - x.mean(axis=0)) / scale)[:: max(1, len(x) // PAIRS)], full_matrices=False)
+        runs = np.split(np.arange(len(x)), np.cumsum([len(part) for part in xs])[:-1])
+        noise = np.array([noise_level(column, runs) or 0.0 for column in x.T])
+        scale = np.where(moving, np.maximum(noise, QUIET * spread), np.inf)
+        _, sizes, axes = np.linalg.svd(((x - x.mean(axis=0)) / scale)[:: max(1, len(x) // PAIRS)], full_matrices=False)
+        heard = int((sizes > HEARD * np.sqrt(len(x[:: max(1, len(x) // PAIRS)]))).sum())
         parts: list[tuple[Array, Array, Array]] = []
         thin = max(1, len(u) // PAIRS)
         for states, inputs in zip(xs, us, strict=True):
-            z = ((states - x.mean(axis=0)) / scale) @ axes[: max(2, min(COMPONENTS, len(u) // PAIRS_EACH))].T
+            z = ((states - x.mean(axis=0)) / scale) @ axes[: max(2, min(COMPONENTS, heard, len(u) // PAIRS_EACH))].T
+            z, inputs = _averaged(z, inputs, reach)
             k = np.arange(max(HISTORY - 1, reach + 1), len(inputs) - reach - 1, thin)
             if len(k) == 0:
                 continue

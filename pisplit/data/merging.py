@@ -64,8 +64,10 @@ def from_two_clocks(
 
     ranges = {"ranges": options["ranges"]} if "ranges" in options else {}
     first = fields(known or 0.0, ranges)
-    latency = find_latency(first["xs"], first["us"], first["dt"])
-    shift, text = (known, None) if known is not None else _shift(latency, first["dt"])
+    finest = first if options.get("dt") is None else _silently(lambda: fields(known or 0.0, {**ranges, "dt": None}))
+    seen = finest if finest["dt"] < first["dt"] else first  # the sensors tell more than the steps that are made of them
+    latency = find_latency(seen["xs"], seen["us"], seen["dt"])
+    shift, text = (known, None) if known is not None else _shift(latency, first["dt"], _hold(first["us"], first["dt"]))
     found = first if shift == (known or 0.0) else _silently(lambda: fields(shift, ranges))
     if text:
         warn(text)
@@ -79,12 +81,21 @@ def from_two_clocks(
     return found
 
 
-def _shift(latency: Latency, dt: float) -> tuple[float, str | None]:
-    """The shift of the commands [s] that ``latency`` asks for, and what is said of it."""
+def _hold(us: Sequence[Array], dt: float) -> float:
+    """Usual time for which a command stays [s]."""
+    new = sum(int((np.diff(u, axis=0) != 0.0).any(axis=1).sum()) for u in us)
+    return dt * sum(map(len, us)) / max(new, 1)
+
+
+def _shift(latency: Latency, dt: float, hold: float) -> tuple[float, str | None]:
+    """The shift of the commands [s] that ``latency`` asks for, and what is said of it.
+
+    A command that stays for a time is not sharper than a part of that: less than a quarter is no clock that is late.
+    """
     if latency.delay is None:
         return 0.0, "the delay between commands and sensors is not visible in the data; their clocks are taken for one"
     late, within = 1e3 * latency.delay, 1e3 * latency.error
-    if latency.delay < -latency.error:
+    if latency.delay < -latency.error - 0.25 * min(hold, latency.error):
         return latency.delay, (
             f"the motion comes {-late:.0f} ms (within {within:.0f} ms) before its commands: these are moved by that; "
             f"command_shift={latency.delay:.3g} says it, a shift that is known is better"
