@@ -5,6 +5,7 @@ import pytest
 
 from pisplit import Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
+from pisplit.data import find_latency
 
 DT, NOISE, FREQUENCY = 0.05, 3e-4, 9.0
 
@@ -52,3 +53,13 @@ def test_a_unit_of_all_changes_nothing(factor: float) -> None:
     theta = Dictionary(ob.Constant(), ob.Identity(), n_states=8, n_inputs=1)
     first, second = (LinearEDMDc(theta, alpha=1e-2).fit(d[:6]) for d in (data, scaled))
     np.testing.assert_allclose(second.score(scaled[6:]).median, factor**2 * first.score(data[6:]).median, rtol=1e-6)
+
+
+def test_coordinates_of_noise_alone_do_not_hide_a_late_log() -> None:
+    """A log stamped two steps late is found two steps before one that is right, within what is told."""
+    data = recordings(["m"] * 8)
+    right = find_latency(data.xs, data.us, DT)
+    late = find_latency([x[2:-2] for x in data.xs], [u[:-4] for u in data.us], DT)
+    assert right.delay is not None and late.delay is not None
+    assert late.delay - right.delay == pytest.approx(-2.0 * DT, abs=late.error)
+    assert late.error <= 2.0 * DT and late.delay < 0.0 <= right.delay + right.error
