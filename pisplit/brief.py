@@ -16,7 +16,7 @@ NUMBERS, ENTRIES, LETTERS = 6, 4, 60
 
 def brief(cls: type[T]) -> type[T]:
     """The dataclass ``cls`` with a ``repr`` that fits a few lines, whatever its arrays hold."""
-    cls.__repr__ = _fields  # type: ignore[method-assign,assignment]
+    cls.__repr__ = _fields  # type: ignore[method-assign]
     return cls
 
 
