@@ -25,9 +25,9 @@ from tqdm import tqdm
 
 from common.drawing import save_figure
 from common.report import Report, parser, run
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
+from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, identify
 from pisplit import observables as ob
-from pisplit.controllers import ClosedLoop, KalmanFilter, plants, references, tune
+from pisplit.controllers import ClosedLoop, KalmanFilter, LoopLog, plants, references, tune
 from pisplit.models.arm import TendonArm, random_displacements
 
 matplotlib.use("Agg")
@@ -43,6 +43,7 @@ ROUNDINGS, SHIFTS = (1e-5, 1e-3, 1e-1), (0.05, -0.05)
 #: Width of the figure-eight [m], its time [s]; steps of approach, times round.
 WIDTH, PERIOD, APPROACH, ROUNDS = 0.04, 8.0, 40, 2
 DELAYS = 4
+MODELS = {"L-EDMDc": LinearEDMDc, "B-EDMDc": BilinearEDMDc}
 RIDGES = tuple(np.logspace(-9, 0, 10).tolist())
 
 
@@ -114,6 +115,27 @@ def eight() -> references.Reference:
     return references.along(points, PERIOD, approach=APPROACH * DT)
 
 
+def by_front(arm: TendonArm, d1: Episodes, seed: int, steps: int) -> tuple[Array, Array]:
+    """As ``closed``, by ``identify`` and what it makes of the data alone."""
+    stepper = arm.scene.fast_stepper(DT, stations=STATIONS)
+    plant = plants.Markers(stepper, SEEN, NOISE, seed=seed)
+    rest, box = arm.rest_inputs, 2.0 * arm.amplitude
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = identify(d1, progress=False)
+        control = found.mpc(rest + box, 0.2 * arm.amplitude, rest - box, track=MARKERS[-3:], axes=(0, 1))
+        log = control.run(plant, eight(), steps, u0=rest, progress=False)
+    print(f"  {found.report().chosen}; {'; '.join(control.notes)}")
+    return beside(plant, stepper, log)
+
+
+def beside(plant: plants.Markers, stepper: Any, log: LoopLog) -> tuple[Array, Array]:
+    """True tip (T, 2) in m and the reference (T, 2), from the approach on."""
+    columns = [stepper.state_names.index(name) for name in MARKERS[-3:-1]]
+    true = plant.true_states[: len(log.reference), columns]
+    return true[APPROACH:], log.reference[APPROACH : len(true), :2]
+
+
 def noise_of(d1: Episodes) -> float:
     """Noise of a coordinate in m, as the look at the data finds it."""
     return float(np.median([c.noise for c in d1.report().columns if c.kind == "state" and c.noise]))
@@ -131,9 +153,7 @@ def closed(arm: TendonArm, model: Any, train: Episodes, held: Episodes, seed: in
         settings: dict[str, Any] = {"track": MARKERS[-3:], "axes": (0, 1), "observer": observer}
         tuned = tune(model, held, *limits, progress=False, **settings)
         log = ClosedLoop(plant, tuned.mpc).run(eight(), steps, u0=rest, progress=False)
-    columns = [stepper.state_names.index(name) for name in MARKERS[-3:-1]]
-    true = plant.true_states[: len(log.reference), columns]
-    return true[APPROACH:], log.reference[APPROACH : len(true), :2]
+    return beside(plant, stepper, log)
 
 
 def draw(found: dict[str, tuple[Array, Array]], path: Path) -> None:
@@ -153,7 +173,9 @@ def draw(found: dict[str, tuple[Array, Array]], path: Path) -> None:
 
 def main() -> None:
     """Record, log, load, fit, tune and track, for roundings and clocks."""
-    given = parser((__doc__ or "").splitlines()[0], "out/drawn-arm").parse_args()
+    made = parser((__doc__ or "").splitlines()[0], "out/drawn-arm")
+    made.add_argument("--front", action="store_true", help="by identify alone, told nothing but the logs")
+    given = made.parse_args()
     arm = drawn()
     print(arm.scene, end="\n\n")
     episodes, steps = (6, 200) if given.quick else (10, APPROACH + ROUNDS * round(PERIOD / DT))
@@ -171,8 +193,12 @@ def main() -> None:
         if late:
             report.figure(f"{label}: shift that was made", 1e3 * origin["command_shift"], "ms")
         train, held = d1[: episodes - 2], d1[episodes - 2 :]
-        for name, kind in (("L-EDMDc", LinearEDMDc), ("B-EDMDc", BilinearEDMDc)):
-            true, wanted = found[f"{name}, {label}"] = closed(arm, fitted(kind, train), train, held, given.seed, steps)
+        for name, kind in MODELS.items() if not given.front else [("identify", None)]:
+            if kind is None:
+                true, wanted = by_front(arm, d1, given.seed, steps)
+            else:
+                true, wanted = closed(arm, fitted(kind, train), train, held, given.seed, steps)
+            found[f"{name}, {label}"] = true, wanted
             error = 1e3 * float(np.sqrt(np.mean(np.sum((true - wanted)[20:] ** 2, axis=1))))
             print(f"  {name}: {error:.3f} mm")
             report.figure(f"{label}: {name}, RMS of the true tip", error, "mm", ("<=", target))

@@ -122,6 +122,16 @@ def test_recordings_of_any_system_without_an_arm(duffing: ps.Episodes) -> None:
     assert not log.stopped and np.abs(log.y[-5:] - 0.5).max() < 0.01
 
 
+def test_noisy_recordings_are_filtered_and_clean_ones_are_not(duffing: ps.Episodes) -> None:
+    noise = np.random.default_rng(0)
+    seen = replace(duffing, xs=[x + 0.02 * noise.standard_normal(x.shape) for x in duffing.xs])
+    for data, filtered in ((seen, True), (duffing, False)):
+        found = ps.identify(data, candidates=["L-EDMDc"], progress=False)
+        control = found.mpc(u_max=1.0, du_max=2.0, rate_weight=0.1, track=["x"])
+        assert control.controller.estimates is filtered
+        assert any("Kalman filter" in note for note in control.notes) is filtered
+
+
 @pytest.mark.parametrize("name", ["L-EDMDc, 4 delays", "L-EDMDc, cubic", "B-EDMDc"])
 def test_the_printed_code_does_the_same_by_hand(duffing: ps.Episodes, name: str) -> None:
     found = ps.identify(duffing, candidates=[name], progress=False)

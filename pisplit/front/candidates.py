@@ -144,6 +144,9 @@ CANDIDATES: tuple[Candidate, ...] = (
     _data_only("L-EDMDc, 4 delays", LinearEDMDc, _few_states(DELAYED), Delays={"states": 4, "inputs": 4}),
     _data_only("L-EDMDc, cubic", LinearEDMDc, _few_states(POLYNOMIAL), Polynomials={"degree": 3}),
     _data_only("B-EDMDc", BilinearEDMDc, _always, Delays={"inputs": 1}, Bilinear={}),
+    _data_only(
+        "B-EDMDc, 4 delays", BilinearEDMDc, _few_states(DELAYED), Delays={"states": 4, "inputs": 4}, Bilinear={}
+    ),
     _data_only("B-EDMDc, cubic", BilinearEDMDc, _few_states(POLYNOMIAL), Polynomials={"degree": 3}, Bilinear={}),
     _data_only(
         "B-EDMDc, slack", BilinearEDMDc, _pulls, Delays={"inputs": 1}, Slack={"width": SLACK_WIDTH}, Bilinear={}

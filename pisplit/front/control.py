@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array
-from pisplit.controllers import MPC, ClosedLoop, LoopLog, references
+from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, LoopLog, references
 from pisplit.controllers.plants import ModelPlant
+from pisplit.data.suspicions import noise_level
 from pisplit.models.arm import Arm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pisplit.front.identification import Identified
+    from pisplit.lifted.model import LiftedModel
 
 #: Weights of the input rate, the cautious one first: one that is worse already is not tried any further.
 RATE_WEIGHTS = (0.1, 0.02, 1.0, 0.004)
@@ -29,6 +31,8 @@ MOVING, RESTING = 70, 30
 HORIZON = 20
 #: Error of the trials, in parts of the range of the outputs, from which on the controller says that it is poor.
 POOR = 0.2
+#: Noise of a state, in parts of its spread, from which on measurements are filtered.
+NOISY = 0.003
 #: Times by which recorded motion is slowed down to make a reference that can be followed.
 SLOWER = 2
 
@@ -75,15 +79,18 @@ class Control:
         given = {"horizon": HORIZON, "u_min": low.copy(), "u_max": high.copy(), "du_max": du_max, **settings}
         if "track" not in given:
             given["track"] = "tip" if "tip" in model.outputs else [model.state_names[0]]
+        seen = {} if "observer" in given else _filtered(found, model)
+        given |= seen
         notes = [
             f"limits {_text(low)} .. {_text(high)}, {_text(np.asarray(du_max))} a step",
             f"horizon {given['horizon']}",
+            *(["Kalman filter, told the noise of the recordings"] if seen else []),
         ]
         trials: list[tuple[float, float]] = []
         if "rate_weight" in given:
             controller = MPC(model, **given)
         else:
-            controller, trials = _chosen(found, given)
+            controller, trials = _chosen(found, model, given)
             notes.append(f"rate weight {trials[0][0]:g}, chosen by loops on {min(2, len(found.rivals))} models")
             if trials[0][1] > POOR:
                 told = (
@@ -141,13 +148,13 @@ def _named(reference: references.Reference, controller: MPC) -> references.Refer
     return reference
 
 
-def _chosen(found: Identified, given: dict[str, Any]) -> tuple[MPC, list[tuple[float, float]]]:
+def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tuple[MPC, list[tuple[float, float]]]:
     """The controller with the rate weight whose worst loop is best, and all trials, best first."""
     plants = [estimator.lifted for _, estimator in found.rivals[:2]]
     trials: list[tuple[float, float]] = []
     best, least = None, np.inf
     for weight in RATE_WEIGHTS:
-        controller = MPC(found.lifted, rate_weight=weight, **given)
+        controller = MPC(model, rate_weight=weight, **given)
         worst = 0.0
         for plant in plants:
             worst = max(worst, _trial(controller, plant, found))
@@ -182,6 +189,24 @@ def _trial(controller: MPC, plant: Any, found: Identified) -> float:
     missed = np.linalg.norm((log.y - log.reference) / scale, axis=1)
     restless = np.linalg.norm(np.diff(log.y[-RESTING // 2 :], axis=0) / scale, axis=1)
     return float(np.sqrt(np.mean(missed[5:] ** 2)) + restless.mean())
+
+
+def _filtered(found: Identified, model: LiftedModel) -> dict[str, Any]:
+    """A filter as ``observer`` of the ``model`` where the recordings have noise to speak of, else nothing."""
+    d1 = found.case.d1
+    runs = np.split(np.arange(len(d1.stacked_states())), np.cumsum([len(x) for x in d1.xs])[:-1])
+    levels = [noise_level(column, runs) for column in d1.stacked_states().T]
+    units = d1.units or ()
+    alike = {u: [n for n, unit in zip(levels, units, strict=True) if unit == u and n is not None] for u in set(units)}
+    known = [
+        float(np.median(alike[u])) if n is None and u and alike[u] else n for n, u in zip(levels, units, strict=True)
+    ]
+    std = np.array([0.0 if n is None else n for n in known])
+    if not (std > NOISY * d1.stacked_states().std(axis=0)).any():
+        return {}
+    with suppress(ValueError, RuntimeError, np.linalg.LinAlgError):
+        return {"observer": KalmanFilter.from_data(model, d1, std)}
+    return {}
 
 
 def _text(values: Array) -> str:
