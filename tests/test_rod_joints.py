@@ -153,7 +153,7 @@ def test_work_on_a_base_that_is_turned():
 
 
 def test_joints_that_make_no_sense_are_refused_in_one_line():
-    """Axes, planes, rotations twice told, held tips, statics; a ball joint ends before it has turned once."""
+    """Axes, planes, rotations twice told, statics; a ball joint ends before it has turned once."""
     for wrong in ({"hinge": (0, 0, 0)}, {"hinge": "y"}, {"slides": "xx"}, {"slides": "a"}, {"hinge": (np.nan, 0, 1)}):
         with pytest.raises(ValueError, match=r"Base (hinge|slides)"):
             rod.Base(**wrong)
@@ -162,8 +162,6 @@ def test_joints_that_make_no_sense_are_refused_in_one_line():
     for out in ({"hinge": "ball"}, {"slides": "y"}, {"hinge": (1, 0, 0)}):
         with pytest.raises(ValueError, match="out of its plane"):
             rod.Scene(body(), rod.Base(**out))
-    with pytest.raises(ValueError, match="base that is clamped"):
-        rod.Scene(body(), rod.Base(slides="x"), rod.HeldTip(position=(0, 0, L)))
     scene = rod.Scene(body("kirchhoff"), rod.Base(hinge="ball"), nodes=2)
     start = scene.state(np.zeros(9), [*np.zeros(6), 0.0, 0.0, 8.0], NONE)
     statics = scene.statics()

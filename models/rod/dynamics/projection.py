@@ -10,6 +10,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.terms.base import joint_stiffness
 from pisplit.models.rod.terms.held import held_tip
 
 if TYPE_CHECKING:
@@ -67,10 +68,10 @@ class Projection(Rebuilt):
         tip = held_tip(scene.terms)
         assert tip is not None
         g, slope, g_t, _ = Conditions(balance, tip).chain
-        rod, rule = scene.rod, scene.rule
-        stiffness = rod.profile(rule.nodes).stiffness[list(rod.strain_set.free)].T.ravel()
-        weights = np.repeat(rule.weights, rod.strain_set.n_fields)
-        soft = ca.diag(ca.DM(1.0 / (stiffness * weights) * min(rod.stiffness[:2]) / rod.length)) @ slope.T
+        rod = scene.rod
+        stiffness = rod.profile(scene.rule.nodes).stiffness[list(rod.strain_set.free)].T.ravel()
+        stiffness = np.append(stiffness, joint_stiffness(rod, scene.terms))
+        soft = ca.diag(ca.DM(1.0 / (stiffness * scene.weights) * min(rod.stiffness[:2]) / rod.length)) @ slope.T
         return ca.Function("conditions", [xi, xi_t, u], [g, slope, g_t, soft], {"cse": True})
 
     def state(self, x: Array, what: str = "x0") -> Array:

@@ -24,7 +24,9 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from pisplit.checks import Array
 from pisplit.models.rod.equations.balance import Balance, Holding
+from pisplit.models.rod.terms.base import joint_stiffness
 from pisplit.models.rod.terms.held import HeldTip
 
 
@@ -75,6 +77,13 @@ class Conditions:
         )
         return g, slope, g_t, g_tt
 
+    @cached_property
+    def _stiffness(self) -> Array:
+        """Of every strain, EI/L^3 of slides and EI/L of turns of the base (n,)."""
+        rod = self.balance.rod
+        stiffness = np.asarray(self.balance.motion.profile.stiffness)[list(rod.strain_set.free)].T.ravel()
+        return np.concatenate([stiffness, joint_stiffness(rod, self.balance.terms)])
+
     def wrench(self, multipliers: ca.SX) -> ca.SX:
         """World force in N and moment in N m (6,) of multipliers (c,) in parts of EI/L^2 and EI/L."""
         rod = self.balance.rod
@@ -93,9 +102,7 @@ class Conditions:
         loaded = with_wrench(balance, self.wrench(many))
         residual = ca.substitute(loaded.residual, many, ca.SX.zeros(*many.shape))
         response = ca.densify(ca.jacobian(loaded.residual, many))
-        free = list(balance.rod.strain_set.free)
-        compliance = ca.DM(1.0 / np.asarray(balance.motion.profile.stiffness)[free].T.ravel())
-        along = slope @ ca.diag(compliance)
+        along = slope @ ca.diag(ca.DM(1.0 / self._stiffness))
         asked = g
         if moving:
             rate = balance.rod.bending_rate

@@ -74,8 +74,6 @@ class Contents:
         base = [t for t in self.terms if isinstance(t, Base)]
         if not base or held_tip(self.terms) is None:
             return
-        if base[0].freedom:
-            raise ValueError("a HeldTip needs a base that is clamped; give Base(...) no hinge and no slides")
         if base[0].inputs or base[0].moves:
             raise ValueError("a HeldTip needs a base at rest; give Base(...) a fixed pose and nothing that moves")
         if self.rod.strain_set.planar and any((*base[0].position[1:2], *base[0].rotation)):  # type: ignore[index,misc]

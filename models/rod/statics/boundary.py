@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
     from pisplit.models.rod.scene import Scene
+    from pisplit.models.rod.statics.equilibrium import Equilibrium
     from pisplit.models.rod.statics.search import Search
     from pisplit.models.rod.statics.whitened import Whitened
 
@@ -41,6 +42,8 @@ UNIT = 4.0 * np.pi**2
 MOVABLE = 1e-4
 #: Share of the way of a straight rod to its place that its first bend takes, and the largest bend [rad].
 FIRST_WAY, FIRST_BEND = 0.1, 0.5
+#: Stiffness that is added where a deformation may cost nothing.
+NEUTRAL = 1e-6
 #: Step of differences along the way.
 STEP = 1e-5
 
@@ -119,8 +122,9 @@ class FixedTip(Rebuilt):
     def __init__(self, whitened: Whitened, clamped: bool, axes: Sequence[int] = (0, 1, 2)) -> None:
         self.whitened = whitened
         self.scene = scene = whitened.search.scene
+        self.clamped = clamped
         planar = scene.rod.strain_set.planar
-        self._axes = [k for k in axes if not (planar and k == 1)]
+        self.axes = [k for k in axes if not (planar and k == 1)]
         self._turns = ([1] if planar else [0, 1, 2]) if clamped else []
         self._force_unit = UNIT * min(scene.rod.stiffness[:2]) / scene.rod.length**2
         self._moment_unit = self._force_unit * scene.rod.length
@@ -142,11 +146,11 @@ class FixedTip(Rebuilt):
         n, m = scene.n_strains, scene.n_inputs
         xi, inputs, balance = loaded.static_balance
         motion = balance.motion
-        x, many = ca.SX.sym("x", n), ca.SX.sym("multipliers", len(self._axes) + len(self._turns))
+        x, many = ca.SX.sym("x", n), ca.SX.sym("multipliers", len(self.axes) + len(self._turns))
         u, p, turn = ca.SX.sym("u", m), ca.SX.sym("p", 3), ca.SX.sym("turn", 3, 3)
         off = ca.inv_skew(turn.T @ motion.tip_frame) - ca.inv_skew(motion.tip_frame.T @ turn)
         # The moment acts along the axes of the prescribed frame, which does not turn with the rod.
-        pose = ca.vertcat((motion.tip - p)[self._axes] / scene.rod.length, 0.5 * off[self._turns])
+        pose = ca.vertcat((motion.tip - p)[self.axes] / scene.rod.length, 0.5 * off[self._turns])
         residual = balance.residual / ca.DM(loaded.nominal_residual)
         known = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
         wrench = self._wrench(many, turn, ca.SX.zeros(3), ca.SX.zeros(3))
@@ -157,10 +161,10 @@ class FixedTip(Rebuilt):
 
     def _wrench(self, multipliers: Any, turn: Any, force: Any, moment: Any) -> tuple[Any, Any]:
         """World force and moment, (3,) each, of multipliers; ``force`` and ``moment`` come as zeros."""
-        for k, axis in enumerate(self._axes):
+        for k, axis in enumerate(self.axes):
             force[axis] = self._force_unit * multipliers[k]
         for k, axis in enumerate(self._turns):
-            moment[axis] = self._moment_unit * multipliers[len(self._axes) + k]
+            moment[axis] = self._moment_unit * multipliers[len(self.axes) + k]
         return force, turn @ moment
 
     def way(self, u: Array, journey: Journey) -> Way:
@@ -191,16 +195,16 @@ class FixedTip(Rebuilt):
 
     def _held(self, y: Array, u: Array) -> tuple[Array, float]:
         """Unknowns at the strains ``y`` with the multipliers that hold them best, and the force that is left."""
-        n, place, frame = len(y), *self._pose(y, u)
-        whole = np.concatenate([y, np.zeros(len(self._axes) + len(self._turns))])
-        force, stiffness, _ = self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))(whole, 0.0)
+        n = len(y)
+        whole = np.concatenate([y, np.zeros(len(self.axes) + len(self._turns))])
+        force, stiffness, _ = self._still(y, u)(whole, 0.0)
         whole[n:] = np.linalg.lstsq(stiffness[:n, n:], force[:n], rcond=1e-9)[0]
         return whole, float(np.abs(force[:n] - stiffness[:n, n:] @ whole[n:]).max())
 
     def _movable(self, y: Array, u: Array) -> bool:
         """Whether small deformations move the tip in every direction: that of a straight rod cannot go along it."""
-        n, place, frame = self.scene.n_strains, *self._pose(y, u)
-        stiffness = self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))(y, 0.0)[1]
+        n = self.scene.n_strains
+        stiffness = self._still(y, u)(y, 0.0)[1]
         values = np.linalg.svd(stiffness[n:, :n], compute_uv=False)
         return bool(values[-1] > MOVABLE * values[0])
 
@@ -215,15 +219,17 @@ class FixedTip(Rebuilt):
             free = self.scene.rod.strain_set.free
             node = [{0: -beside[1], 1: beside[0]}.get(component, 0.0) for component in free]
             taper = 1.0 - self.scene.rule.nodes / length
-            bent[:n] += min(FIRST_BEND, size) * self.whitened.of(np.outer(taper, node).ravel())
+            turned = np.append(np.outer(taper, node), np.zeros(self.scene.n_joint))
+            bent[:n] += min(FIRST_BEND, size) * self.whitened.of(turned)
             return bent
         pressed = y.copy()
-        pressed[n : n + len(self._axes)] -= frame.apply([0.0, 0.0, 1.0])[self._axes] / UNIT
-        still = self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))
+        pressed[n : n + len(self.axes)] -= frame.apply([0.0, 0.0, 1.0])[self.axes] / UNIT
+        still = self._still(y, u)
         free_of, under = still(y, 0.0)[1], still(pressed, 0.0)[1]
         basis = self.judge.basis(free_of)
         loss = (free_of - under)[:n, :n]
-        vectors = eigh(*(basis.T @ (0.5 * (k + k.T)) @ basis for k in (loss, free_of[:n, :n])))[1]
+        resists = free_of[:n, :n] + NEUTRAL * np.eye(n)  # a rod between two ball joints turns about its axis
+        vectors = eigh(*(basis.T @ (0.5 * (k + k.T)) @ basis for k in (loss, resists)))[1]
         mode = basis @ vectors[:, -1]
         shortening = float(mode @ loss @ mode) / 2.0
         bent[:n] += min(FIRST_BEND, size / np.sqrt(max(shortening, 1e-12))) * mode
@@ -240,6 +246,7 @@ class FixedTip(Rebuilt):
         start: Array,
         rests: bool,
         vector: Array | None = None,
+        release: bool = False,
     ) -> FixedTipEquilibrium:
         """Equilibrium under inputs ``u`` (n_inputs,) reached by moving the tip.
 
@@ -251,19 +258,28 @@ class FixedTip(Rebuilt):
             start: state (n_states,) to start from.
             rests: whether it is meant to be an equilibrium, else a guess.
             vector: rotation vector (3,) of ``rotation`` from the unloaded tip, which tells whole turns; None: none.
+            release: whether a base on a joint is let go first, with the tip held where it is.
 
         Raises ValueError for a rotation that is none.
         """
         n, place = self.scene.n_strains, finite_array(position, "position", (3,))
         wanted = None if rotation is None else checked_rotation(rotation)
         y, left = self._held(self.whitened.of(self._search.scaled(start[:n])), u)
-        goal, events = self._goal(y, u, place), list[Event]()
-        if left > RESTING and not rests:
+        goal, events, branch = self._goal(y, u, place), list[Event](), "followed"
+        if release and left > RESTING:
+            y, settled = descend(self._still(y, u), y, 0.0, self.judge)
+            goal, branch = self._goal(y, u, place), "settled"
+            if not settled:
+                lost = self._found(
+                    Walk(y, 0.0, False, ()), u, Journey(goal, goal, self._pose(y, u)[1], np.zeros(3), 0.0)
+                )
+                return replace(lost, message="with its tip held where the loads put it the base does not come to rest")
+        elif left > RESTING and not rests:
             return self._near(y, u, Journey(goal, goal, wanted or self._pose(y, u)[1], np.zeros(3), turns))
         if not self._movable(y, u):
             y = self._bent(y, u, goal)
-            goal, (place, frame) = self._goal(y, u, goal), self._pose(y, u)
-            y, settled = descend(self.way(u, Journey(place, place, frame, np.zeros(3), 0.0)), y, 0.0, self.judge)
+            goal = self._goal(y, u, goal)
+            y, settled = descend(self._still(y, u), y, 0.0, self.judge)
             events.append(Event(0.0, "bifurcation", settled))
         place, frame = self._pose(y, u)
         turn = np.zeros(3) if wanted is None else _wound((frame.inv() * wanted).as_rotvec(), frame, vector)
@@ -271,12 +287,38 @@ class FixedTip(Rebuilt):
         if events and not events[0].at_rest:
             return self._found(Walk(y, 0.0, False, tuple(events)), u, journey)
         found = walk(self.way(u, journey), y, self.judge)
-        return self._found(Walk(found.y, found.t, found.success, (*events, *found.events)), u, journey)
+        return self._found(Walk(found.y, found.t, found.success, (*events, *found.events)), u, journey, branch)
+
+    def loaded(self, bare: FixedTip, held: FixedTipEquilibrium, u: Array) -> FixedTipEquilibrium:
+        """Equilibrium under loads that grow in proportion from nothing while the tip is held.
+
+        Args:
+            bare: the same rod without loads.
+            held: its equilibrium, from which the loads grow.
+            u: inputs (n_inputs,) of the whole loads.
+        """
+        none, n = np.zeros(0), self.scene.n_strains
+        y, _ = bare._held(bare.whitened.of(bare._search.scaled(held.state[:n])), none)
+        place, frame = bare._pose(y, none)
+        still = Journey(place, place, frame, np.zeros(3), 0.0)
+        with_loads, without = self.way(u, still), bare.way(none, still)
+
+        def way(y: Array, t: float) -> tuple[Array, Array, Array]:
+            a, b = with_loads(y, 1.0)[:2], without(y, 1.0)[:2]
+            force, stiffness = (t * one + (1.0 - t) * other for one, other in zip(a, b, strict=True))
+            return force, stiffness, a[0] - b[0]
+
+        return self._found(walk(way, y, self.judge), u, still, of="of the loads")
+
+    def _still(self, y: Array, u: Array) -> Way:
+        """The tip stays where it is with the unknowns ``y``."""
+        place, frame = self._pose(y, u)
+        return self.way(u, Journey(place, place, frame, np.zeros(3), 0.0))
 
     def _goal(self, y: Array, u: Array, place: Array) -> Array:
         """``place`` (3,) along the prescribed axes, where the tip is along the others."""
         goal = self._pose(y, u)[0]
-        goal[self._axes] = place[self._axes]
+        goal[self.axes] = place[self.axes]
         return goal
 
     def _near(self, y: Array, u: Array, journey: Journey) -> FixedTipEquilibrium:
@@ -295,16 +337,19 @@ class FixedTip(Rebuilt):
         stable = self.judge.stable(way(y, 1.0)[1])
         return self._found(Walk(y, 1.0, stable, ()), u, journey, "given")
 
-    def _found(self, walked: Walk, u: Array, journey: Journey, branch: str = "followed") -> FixedTipEquilibrium:
+    def _found(
+        self, walked: Walk, u: Array, journey: Journey, branch: str = "followed", of: str = "of the way"
+    ) -> FixedTipEquilibrium:
         n, of_x, y = self.scene.n_strains, self.whitened.sizes[0], walked.y
         pose = journey.at(1.0)
         errors = self._errors(y[:n] / of_x, y[n:], u, pose)[:2]
         residual = max(float(np.abs(np.asarray(e)).max()) for e in errors)
         met = bool(residual <= TOLERANCE)
         success = met and walked.success
-        lost = [told(e, "of the way") for e in walked.events]
+        lost = [told(e, of) for e in walked.events]
         first = walked.events[0].at if walked.events else 1.0
-        where = f"the tip could be moved {100.0 * walked.t:.0f} % of the way"
+        what = "the loads of the held rod could grow" if of == "of the loads" else "the tip could be moved"
+        where = f"{what} {100.0 * walked.t:.0f} % {of}"
         if success:
             branch = "snapped" if lost else branch
             message = f"lost stability at {', '.join(lost)}; this is where it rests behind" if lost else ""
@@ -325,6 +370,15 @@ class FixedTip(Rebuilt):
             load_factor=first if success or branch == "given" else min(first, walked.t),
             scene=self.scene,
         )
+
+
+def after(found: FixedTipEquilibrium, free: Equilibrium) -> FixedTipEquilibrium:
+    """``found`` by moving the tip of a ``free`` rod; if that had lost stability under its loads, it says so."""
+    if not found.success or free.branch != "snapped" or found.branch == "snapped":
+        return found
+    return replace(
+        found, branch="snapped", load_factor=0.0, message=f"before its tip was moved, the rod {free.message}"
+    )
 
 
 def _wound(turn: Array, frame: Rotation, vector: Array | None) -> Array:

@@ -12,7 +12,10 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
-from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium, Journey
+from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium, Journey, after
+from pisplit.models.rod.statics.equilibrium import Equilibrium
+from pisplit.models.rod.statics.jointed import JointedScene
+from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.held import HeldTip
 
 if TYPE_CHECKING:
@@ -20,7 +23,10 @@ if TYPE_CHECKING:
 
 
 class HeldScene(Rebuilt):
-    """Equilibria of a scene with a ``HeldTip``: inputs first, then the tip goes to its place, see ``Statics.pin_tip``.
+    """Equilibria of a scene with a ``HeldTip``: loads first, then the tip goes to its place, see ``Statics.pin_tip``.
+
+    A base with a hinge or slides is clamped until the loads act, and let go before the tip is moved. Where the rod
+    loses stability before its tip is held, the tip goes first and the loads grow then.
 
     Args:
         scene: the rod, what acts on it, and what holds its tip.
@@ -33,7 +39,13 @@ class HeldScene(Rebuilt):
     @cached_property
     def free(self) -> Scene:
         """The scene with a free tip."""
-        return self.scene.without(HeldTip)
+        scene = self.scene.without(HeldTip)
+        return scene if self.base is None else JointedScene(scene, self.base).scene
+
+    @cached_property
+    def base(self) -> Base | None:
+        """The base if it turns or slides freely."""
+        return joint_of(self.scene.terms)
 
     @cached_property
     def _kept(self) -> list[int]:
@@ -67,16 +79,38 @@ class HeldScene(Rebuilt):
         """Equilibrium under inputs ``u`` (n_inputs,), near or from the strains ``start`` (n_strains,) if given."""
         place, turn = self.pose(u)
         inputs = u[self._kept]
-        statics = self.free.statics()
-        if start is None:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", Unresolved)  # of a shape that is on the way alone
-                at = statics.solve(inputs)
-            first, rests = at.state, at.success
-        else:
-            first, rests = start, False
         vector = None if turn is None else np.asarray(self._pose(u)[2], dtype=np.float64).ravel()
-        return self.fixed.solve(inputs, place, turn, 0.0, first, rests, vector)
+        if start is not None:
+            return self.fixed.solve(inputs, place, turn, 0.0, start, False, vector)
+        free = self._loaded(inputs)
+        if free.branch in ("snapped", "unverified"):
+            none = np.zeros(0)
+            held = self._bare.solve(none, place, turn, 0.0, self._bare.scene.rest_coordinates, True, vector)
+            if held.success and held.branch != "snapped":
+                found = self.fixed.loaded(self._bare, held, inputs)
+                if found.success:
+                    return found
+        q = np.zeros(0 if self.base is None else self.base.freedom)
+        first = np.concatenate([free.strains, q])
+        found = self.fixed.solve(inputs, place, turn, 0.0, first, free.success, vector, self.base is not None)
+        return after(found, free)
+
+    def _loaded(self, inputs: Array) -> Equilibrium:
+        """The rod with a free tip and a base that is clamped under ``inputs``."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Unresolved)  # of a shape that is on the way alone
+            if self.base is None:
+                return self.free.statics().solve(inputs)
+            jointed = JointedScene(self.free, self.base)
+            return jointed.clamped.statics().solve(jointed.inputs(np.zeros(self.base.freedom), inputs))
+
+    @cached_property
+    def _bare(self) -> FixedTip:
+        """Moves the tip of the rod without loads."""
+        bare = self.free.without(object)
+        for base in (t for t in self.free.terms if isinstance(t, Base)):
+            bare = bare + base
+        return FixedTip(bare.statics().branches.whitened, self.fixed.clamped, self.fixed.axes)
 
     def margin(self, x: Array, u: Array) -> float:
         """Least stiffness of strains ``x`` (n_strains,) against deformations that leave the tip where it is held.

@@ -14,6 +14,7 @@ from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.equilibrium import Equilibrium
+from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.loads import Input
@@ -71,6 +72,11 @@ class JointedScene(Rebuilt):
             warnings.simplefilter("ignore")  # said by the scene itself
             still = replace(self.base, position=Input(PLACE, 3), rotation=Input(TURN, 3), hinge=None, slides="")
             return self.scene.replace(still)
+
+    @cached_property
+    def resolution(self) -> Resolution:
+        """Tells whether the nodes are enough, for where the base comes to rest too."""
+        return Resolution(self.scene)
 
     @cached_property
     def _pose(self) -> ca.Function:
@@ -145,7 +151,7 @@ class JointedScene(Rebuilt):
             q = q + change * scene.nominal_strains[strains:]
         if came:
             x = self._settled(x, u)
-            self.clamped.statics().resolution.check(self.of_clamped(x, u)[None])
+            self.resolution.check(scene.at_rest(x, u)[None])
         return Equilibrium(
             state=scene.at_rest(x, u),
             success=came,

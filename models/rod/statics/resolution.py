@@ -30,6 +30,8 @@ MORE = 2
 POINTS = 20
 #: Change of a scaled unknown by which the finer balance is differentiated.
 STEP = 1e-6
+#: Part of the largest singular value of the slopes by differences up to which a motion on joints costs nothing.
+NEUTRAL = 1e-8
 #: Newton steps that take an equilibrium to the next grid, and the scaled residual of states that are equilibria.
 STEPS, BALANCED = 6, 1e-5
 
@@ -187,8 +189,12 @@ class Resolution(Rebuilt):
         unit = self.finer.nominal_strains
         probes = np.vstack([np.zeros(len(xi)), STEP * np.eye(len(xi))]) * unit
         values = np.asarray(self._balances((xi + probes).T, u)).T
+        slopes, missed = (values[1:] - values[0]).T / STEP, values[0] - force
         try:
-            step: Array = -unit * np.linalg.solve((values[1:] - values[0]).T / STEP, values[0] - force)
+            if self.scene.n_joint:  # what costs nothing (a rod between ball joints about its axis) stays as it is
+                step: Array = -unit * np.linalg.lstsq(slopes, missed, rcond=NEUTRAL)[0]
+            else:
+                step = -unit * np.linalg.solve(slopes, missed)
         except np.linalg.LinAlgError:
             return np.full(len(xi), np.inf)
         return step

@@ -13,7 +13,7 @@ from pisplit.checks import Array, finite_array, real_array
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
-from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium
+from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium, after
 from pisplit.models.rod.statics.branch import RESTING, Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.held_scene import HeldScene
@@ -60,9 +60,9 @@ class Statics(Rebuilt):
 
     @cached_property
     def jointed(self) -> JointedScene | None:
-        """Lets the base come to rest, None where it is clamped."""
+        """Lets the base come to rest, None where it is clamped or the tip is held (``held`` lets it go then)."""
         base = joint_of(self.scene.terms)
-        return None if base is None else JointedScene(self.scene, base)
+        return None if base is None or self.held is not None else JointedScene(self.scene, base)
 
     @cached_property
     def resolution(self) -> Resolution:
@@ -411,10 +411,11 @@ class Statics(Rebuilt):
             free = self.solve(inputs)
             start, rests = free.state, free.success
         else:
-            start, rests = self.search.strains(self._scaled(guess)), False
+            free, start, rests = None, self.search.strains(self._scaled(guess)), False
         if clamped not in self._fixed_tips:
             self._fixed_tips[clamped] = FixedTip(self.branches.whitened, clamped)
-        return self._fixed_tips[clamped].solve(inputs, position, rotation, twist, start, rests)
+        found = self._fixed_tips[clamped].solve(inputs, position, rotation, twist, start, rests)
+        return found if free is None else after(found, free)
 
     @cached_property
     def _fixed_tips(self) -> dict[bool, FixedTip]:
@@ -431,11 +432,7 @@ class Statics(Rebuilt):
         In parts of the length, along the whole rod; that of the grid alone: see ``Resolution``.
         """
         x = checked_state(self.scene, state)
-        if self.jointed is not None:
-            strains, *_, u = self.scene.layout.split(x)
-            clamped = self.jointed.clamped.statics()
-            return clamped.error(self.jointed.of_clamped(strains, u))
-        return self.resolution.error(x)
+        return (self.resolution if self.jointed is None else self.jointed.resolution).error(x)
 
     # Guesses and readings --------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.terms.base import joint_stiffness
 
 if TYPE_CHECKING:
     from pisplit.models.rod.statics.search import Search
@@ -22,7 +23,8 @@ Way = Callable[[Array, float], tuple[Array, Array, Array]]
 class Whitened(Rebuilt):
     """Balance g(y) = f(y) - y of the strains y = sqrt(b k L / EI) (xi - xi*), with f what the loads ask for.
 
-    b are the weights of the nodes, k the stiffness of each strain. With the load factor t the balance is t f(y) - y and
+    b are the weights of the nodes, k the stiffness of each strain; joint coordinates at the base are in rad and parts
+    of L. With the load factor t the balance is t f(y) - y and
     its stiffness I - t F, F = df/dy: one evaluation under the whole load serves every load factor. For loads with an
     energy g is minus its gradient, in parts of EI/L.
 
@@ -39,7 +41,8 @@ class Whitened(Rebuilt):
         scene = self.search.scene
         rod, rule = scene.rod, scene.rule
         stiffness = rod.profile(rule.nodes).stiffness[list(rod.strain_set.free)].T.ravel()
-        weights = np.repeat(rule.weights, rod.strain_set.n_fields)
+        stiffness = np.append(stiffness, joint_stiffness(rod, scene.terms))
+        weights = scene.weights
         unit = np.sqrt(min(rod.stiffness[:2]) / rod.length)
         of_x = np.sqrt(weights * stiffness) * scene.nominal_strains / unit
         of_residual = np.sqrt(weights / stiffness) * scene.nominal_residual / unit

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from pisplit.checks import finite_array
+from pisplit.checks import Array, finite_array
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import BaseState, Motion
 from pisplit.models.rod.kinematics.rotations import compose, exponential
@@ -187,6 +187,16 @@ def joint_of(terms: tuple[Any, ...]) -> Base | None:
     """The base among ``terms`` if it has joint coordinates."""
     found = [t for t in terms if isinstance(t, Base) and t.freedom]
     return found[0] if found else None
+
+
+def joint_stiffness(rod: Rod, terms: tuple[Any, ...]) -> Array:
+    """Stiffness of the ``rod`` that joint coordinates of the base among ``terms`` compare with: EI/L^3, EI/L (f,)."""
+    base = joint_of(terms)
+    if base is None:
+        return np.zeros(0)
+    turn = min(rod.stiffness[:2]) / rod.length
+    slides = len(base.slides)
+    return np.array([turn / rod.length**2] * slides + [turn] * (base.freedom - slides))
 
 
 def _spinning(q: ca.SX) -> ca.SX:
