@@ -11,6 +11,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import importlib
+import time
+import warnings
 from typing import Any
 
 import numpy as np
@@ -18,10 +20,10 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from common.report import Report, parser, run
-from pisplit import Dictionary, Episodes, LinearEDMDc
+from pisplit import Dictionary, Episodes, LinearEDMDc, identify
 from pisplit import observables as ob
 from pisplit.checks import Array
-from pisplit.controllers import ClosedLoop, PlantStep, references, tune
+from pisplit.controllers import MPC, ClosedLoop, PlantStep, references, tune
 
 DT, DELAYS = 0.05, 8
 #: Pressures in psi, and their largest change in a step; samples for which a random pressure is aimed at.
@@ -80,11 +82,36 @@ def record(arm: PneumaticArm, episodes: int, steps: int, seed: int) -> Episodes:
     return Episodes(xs, us, DT, outputs={"tip": (0, 1, 2)}, input_units=arm.input_units, **named)
 
 
+def by_hand(report: Report, train: Episodes, held: Episodes) -> MPC:
+    """A linear model with delays, and what ``tune`` makes of it."""
+    n, m = train.n_states, train.n_inputs
+    theta = Dictionary(ob.Constant(), ob.Identity(), ob.Delays(DELAYS, DELAYS), n_states=n, n_inputs=m)
+    model = LinearEDMDc(theta, alpha="cv").fit(train)
+    report.figure("squared error of 10 s roll-outs, median", model.score(held, "tip").median, "m^2")
+    tuned = tune(model, held, LOW, HIGH, RATE, axes=(0, 1))
+    print(tuned)
+    report.figure("tuning", tuned.seconds, "s")
+    return tuned.mpc
+
+
+def by_front(report: Report, train: Episodes) -> MPC:
+    """What ``identify`` makes of the recordings alone."""
+    begin = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = identify(train)
+        control = found.mpc(u_max=HIGH, du_max=RATE, u_min=LOW, axes=(0, 1))
+    print(f"{found.report()}\n\n{control}")
+    report.figure("identify and its controller, CPU", time.process_time() - begin, "s")
+    return control.controller
+
+
 def main() -> None:
     """Record, fit, tune, and close the loop along a circle and a jump."""
     made = parser((__doc__ or "").splitlines()[0])
     made.add_argument("--calibrated", action="store_true", help="the twin of the measured arm")
     made.add_argument("--episodes", type=int, default=13, help="recordings of 10 s, the last three held out")
+    made.add_argument("--front", action="store_true", help="by identify and what it makes of the data, not by tune")
     given = made.parse_args()
     episodes, steps = (6, 100) if given.quick else (given.episodes, 200)
     if episodes < 5:
@@ -92,19 +119,12 @@ def main() -> None:
     arm = PneumaticArm(given.calibrated)
     data = record(arm, episodes, steps, given.seed)
     train, held = data[: episodes - 3], data[episodes - 3 :]
-    theta = Dictionary(
-        ob.Constant(), ob.Identity(), ob.Delays(DELAYS, DELAYS), n_states=arm.n_states, n_inputs=arm.n_inputs
-    )
-    model = LinearEDMDc(theta, alpha="cv").fit(train)
     report = Report.of("MPC on a pneumatic arm in MuJoCo", given)
-    report.figure("squared error of 10 s roll-outs, median", model.score(held, "tip").median, "m^2")
-    tuned = tune(model, held, LOW, HIGH, RATE, axes=(0, 1))
-    print(tuned)
-    report.figure("tuning", tuned.seconds, "s")
+    mpc = by_front(report, train) if given.front else by_hand(report, train, held)
     middle = np.full(arm.n_inputs, 0.5 * (LOW + HIGH))
     home = arm.reset(middle)[:2]
     radius = 0.2 * float(np.ptp(np.concatenate(train.xs)[:, :2], axis=0).max())
-    loop = ClosedLoop(arm, tuned.mpc)
+    loop = ClosedLoop(arm, mpc)
     circle = references.circle(radius, 4.0, center=home, approach=1.0, width=2)
     log = loop.run(circle, CIRCLE, u0=middle)
     print(log.summary())

@@ -142,6 +142,7 @@ model = TwinEDMDc(
 CANDIDATES: tuple[Candidate, ...] = (
     _data_only("L-EDMDc", LinearEDMDc, _always, Delays={"inputs": 1}),
     _data_only("L-EDMDc, 4 delays", LinearEDMDc, _few_states(DELAYED), Delays={"states": 4, "inputs": 4}),
+    _data_only("L-EDMDc, 8 delays", LinearEDMDc, _few_states(DELAYED), Delays={"states": 8, "inputs": 8}),
     _data_only("L-EDMDc, cubic", LinearEDMDc, _few_states(POLYNOMIAL), Polynomials={"degree": 3}),
     _data_only("B-EDMDc", BilinearEDMDc, _always, Delays={"inputs": 1}, Bilinear={}),
     _data_only(

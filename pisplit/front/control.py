@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from pisplit.front.identification import Identified
     from pisplit.lifted.model import LiftedModel
 
-#: Weights of the input rate, the cautious one first: one that is worse already is not tried any further.
-RATE_WEIGHTS = (0.1, 0.02, 1.0, 0.004)
+#: Weights of the input rate, the cautious one first: one that is worse already is not tried any further. Where the
+#: least of them is the best, it goes on by this factor as long as that helps, down to this weight.
+RATE_WEIGHTS = (0.1, 0.02, 1.0)
+LESS, LEAST = 0.2, 1e-6
 #: Steps of a trial that follow the reference, and those at its end in which it has to come to rest.
 MOVING, RESTING = 70, 30
 HORIZON = 20
@@ -152,8 +154,8 @@ def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tup
     """The controller with the rate weight whose worst loop is best, and all trials, best first."""
     plants = [estimator.lifted for _, estimator in found.rivals[:2]]
     trials: list[tuple[float, float]] = []
-    best, least = None, np.inf
-    for weight in RATE_WEIGHTS:
+    best, least, weights = None, np.inf, list(RATE_WEIGHTS)
+    for weight in weights:
         controller = MPC(model, rate_weight=weight, **given)
         worst = 0.0
         for plant in plants:
@@ -163,6 +165,9 @@ def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tup
         trials.append((weight, worst))
         if worst < least:
             best, least = controller, worst
+        smaller = LESS * min(weights)
+        if len(trials) == len(weights) and min(trials, key=lambda t: t[1])[0] == min(weights) and smaller >= LEAST:
+            weights.append(smaller)
     if best is None:
         raise ValueError(
             "no rate weight holds a loop on the identified models themselves: widen u_max or du_max, track other "
