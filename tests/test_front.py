@@ -132,6 +132,15 @@ def test_noisy_recordings_are_filtered_and_clean_ones_are_not(duffing: ps.Episod
         assert any("Kalman filter" in note for note in control.notes) is filtered
 
 
+def test_columns_of_noise_without_a_unit_are_named(duffing: ps.Episodes) -> None:
+    noise = np.random.default_rng(0)
+    seen = [np.hstack([x, 0.01 * noise.standard_normal((len(x), 2))]) for x in duffing.xs]
+    for units, told in (([""] * 4, True), (["m", "m/s", "m", "m"], False)):
+        data = ps.Episodes(seen, duffing.us, duffing.dt, state_names=["x", "v", "a", "b"], units=units)
+        report = ps.identify(data, candidates=["L-EDMDc"], progress=False).report()
+        assert any("a, b count with their noise alone" in line for line in report.helps) is told
+
+
 @pytest.mark.parametrize("name", ["L-EDMDc, 4 delays", "L-EDMDc, cubic", "B-EDMDc"])
 def test_the_printed_code_does_the_same_by_hand(duffing: ps.Episodes, name: str) -> None:
     found = ps.identify(duffing, candidates=[name], progress=False)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array
+from pisplit.data.suspicions import noise_level
 from pisplit.models.arm import Arm, ArmPhysics, TendonArm, equilibrium_table, make_phase_samples
 from pisplit.models.arm.recording import random_displacements
 from pisplit.models.arm.resting import RestShapes
@@ -84,6 +85,18 @@ class Case:
     def stations(self) -> int:
         """Number of points whose fields are recorded."""
         return max(1, self.d1.n_states // N_FIELDS)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Noise (n,) of the states, a standard deviation; where motion hides it that of others of their unit, or 0."""
+        states, units = self.d1.stacked_states(), self.d1.units or ()
+        runs = np.split(np.arange(len(states)), np.cumsum([len(x) for x in self.d1.xs])[:-1])
+        seen = [noise_level(column, runs) for column in states.T]
+        alike = {
+            u: [n for n, unit in zip(seen, units, strict=True) if u and unit == u and n is not None] for u in units
+        }
+        usual = {u: float(np.median(n)) if n else 0.0 for u, n in alike.items()}
+        return np.array([usual[u] if n is None else n for n, u in zip(seen, units, strict=True)])
 
     def no_rod(self) -> str:
         """Why the physics of a rod cannot be used, empty if it can."""

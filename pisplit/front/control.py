@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, LoopLog, references
 from pisplit.controllers.plants import ModelPlant
-from pisplit.data.suspicions import noise_level
 from pisplit.models.arm import Arm
 
 if TYPE_CHECKING:
@@ -198,15 +197,7 @@ def _trial(controller: MPC, plant: Any, found: Identified) -> float:
 
 def _filtered(found: Identified, model: LiftedModel) -> dict[str, Any]:
     """A filter as ``observer`` of the ``model`` where the recordings have noise to speak of, else nothing."""
-    d1 = found.case.d1
-    runs = np.split(np.arange(len(d1.stacked_states())), np.cumsum([len(x) for x in d1.xs])[:-1])
-    levels = [noise_level(column, runs) for column in d1.stacked_states().T]
-    units = d1.units or ()
-    alike = {u: [n for n, unit in zip(levels, units, strict=True) if unit == u and n is not None] for u in set(units)}
-    known = [
-        float(np.median(alike[u])) if n is None and u and alike[u] else n for n, u in zip(levels, units, strict=True)
-    ]
-    std = np.array([0.0 if n is None else n for n in known])
+    d1, std = found.case.d1, found.case.noise
     if not (std > NOISY * d1.stacked_states().std(axis=0)).any():
         return {}
     with suppress(ValueError, RuntimeError, np.linalg.LinAlgError):

@@ -17,6 +17,8 @@ USELESS, GOOD = 0.5, 0.02
 WORTH = 1.25
 #: So many times worse is no prediction any more.
 LOST = 30.0
+#: Noise in parts of the spread from which on a state is named, where that of others is so many times less.
+HEARD, BLOWN = 0.05, 10.0
 
 
 def unfit(case: Case, estimator: Any, errors: HorizonErrors | None) -> tuple[str, ...]:
@@ -64,6 +66,8 @@ def helps(
             found.append("if this is an arm: a drawing of it (arm=ps.TendonArm(...)), from which physics is taken")
     elif case.shapes is None and not case.is_simulated:
         found.append("a dozen shapes at rest with their inputs (shapes=): they calibrate the drawing")
+    if blown := _blown_up(case):
+        found.append(f"units of the states: those of one unit share a scale, here {blown} count with their noise alone")
     _, basis = case.d1.input_subspace()
     if 0 < basis.shape[1] < case.d1.n_inputs and case.arm is None:
         found.append(
@@ -77,6 +81,17 @@ def helps(
         least = f"its error is {100 * last:.2g} % of the motion" if np.isfinite(last) else "nothing was held out"
         found.append(f"nothing that is plain from these data: {least}; record what the arm shall do later")
     return tuple(found)
+
+
+def _blown_up(case: Case) -> str:
+    """States without a unit, each scaled by its own range, that are noise while others are clear; or nothing."""
+    spread = case.d1.stacked_states().std(axis=0)
+    share = case.noise / np.where(spread > 0.0, spread, np.inf)
+    bare = np.array([not unit for unit in case.d1.units or ()])
+    if not bare.any() or share[bare].min() * BLOWN > share[bare].max():
+        return ""
+    names = [n for n, s, b in zip(case.d1.state_names or (), share, bare, strict=True) if b and s > HEARD]
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _span(values: Any) -> str:
