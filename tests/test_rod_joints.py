@@ -204,3 +204,40 @@ def test_joints_and_branches_go_together():
     assert np.abs(modes.strains).max(axis=1).min() > 0.0
     checked = scene.simulator(0.03).run(np.empty((3, 0)), start, check=True)
     assert checked.error is not None and np.isfinite(checked.error.distance).all()
+
+
+def test_a_pendulum_on_a_torsion_spring():
+    """Upright: falls below k = m g L / 2, else I w^2 = k - m g L / 2; a moment on the hinge turns it by M / k."""
+    mass, inertia = RA * L, RA * L**3 / 3.0 * (1.0 + 1.5 * (2e-3 / L) ** 2 / 2.0)
+    fall = mass * 9.81 * L / 2.0
+    moment = rod.PointWrench(0.0, moment=rod.Input("moment", 3))
+    for part in (0.8, 3.0):
+        hinge, weight = rod.Base(hinge=(0, 1, 0), stiffness=part * fall), rod.Gravity((0, 0, -9.81))
+        scene = rod.Scene(body(material=STIFF), hinge, weight, moment, nodes=2)
+        rest = scene.statics().solve()
+        assert rest.success and (abs(rest.state[2]) < 1e-9) == (part > 1.0)
+        if part < 1.0:  # leans to where the spring holds it: k q = m g L / 2 sin q
+            assert np.sin(abs(rest.state[2])) == pytest.approx(part * abs(rest.state[2]), rel=1e-4)
+            continue
+        rate = 2.0 * np.pi * scene.modes(rest.state).frequency[0]
+        assert rate == pytest.approx(np.sqrt((part - 1.0) * fall / inertia), rel=1e-3)
+        assert scene.statics().margin(rest.state) == pytest.approx((part - 1.0) * fall / (10.0 / L), rel=1e-3)
+    level = rod.Scene(body(material=STIFF), rod.Base(hinge=(0, 1, 0), stiffness=0.2), moment, nodes=2)
+    turned = level.statics().solve([0.0, 0.3, 0.0]).state
+    assert turned[2] == pytest.approx(1.5, rel=1e-6) and level.energies(turned[None]).elastic[0] == pytest.approx(0.225)
+    assert level.base_reactions(turned)[4] == pytest.approx(-0.3)
+    run = level.replace(rod.PointWrench(0.0)).stepper(0.02, step=0.002)
+    swing = run.run(np.empty((5, 0)), run.scene.at_rest(turned[:3], NONE), energy=True, check=False)
+    assert np.abs(swing.energy().imbalance).max() < 1e-6 and np.ptp(swing.energy().stored.elastic) > 0.1
+
+
+def test_springs_slide_and_turn_in_every_direction():
+    """A force on the slides of a rod in space, each against its own spring; what makes no sense is refused."""
+    load = rod.PointWrench(0.0, force=(0.02, 0.0, -0.03))
+    scene = rod.Scene(body("kirchhoff"), rod.Base(slides="xz", stiffness=(2.0, 3.0)), load, nodes=2)
+    assert scene.statics().solve().state[6:8] == pytest.approx([0.01, -0.01], rel=1e-9)
+    for wrong in ({"stiffness": 1.0}, {"slides": "xz", "stiffness": (1.0,)}, {"slides": "x", "stiffness": -1.0}):
+        with pytest.raises(ValueError, match="Base stiffness"):
+            rod.Base(**wrong)
+    with pytest.raises(ValueError, match="Base stiffness"):
+        rod.Base(hinge="ball", slides="x", stiffness=1.0)

@@ -20,7 +20,8 @@ from stress.scene_strategy import drawn, scenes
 from stress.watched import Finished, run_watched
 
 
-def test_hangs_and_crashes_cost_a_worker_and_not_the_run() -> None:
+def test_hangs_and_crashes_cost_a_worker_and_not_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watched, "WAITING", 1.0)
     fine = "{'outcome': 'ok', 'message': ''}"
     cases = [fine, "__import__('time').sleep(600)", fine, "__import__('os')._exit(3)", fine]
     found = run_watched(cases, eval, limit=4.0, workers=1)  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ def main() -> None:
     """Damage files of every kind, load them, count what becomes of them."""
     made = parser(__doc__ or "")
     made.add_argument("--number", type=int, default=2000, help="damaged files of each kind")
-    made.add_argument("--limit", type=float, default=20.0, help="wall-clock limit of a load in s")
+    made.add_argument("--limit", type=float, default=20.0, help="limit of a load in s of CPU time")
     made.add_argument("--workers", type=int, default=2, help="worker processes")
     made.add_argument("--kind", choices=list(KINDS), action="append", help="this kind only (may be repeated)")
     made.add_argument("--unverified", action="store_true", help="load without verification, to see what it is good for")

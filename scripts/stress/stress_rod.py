@@ -8,7 +8,7 @@ Every result is held against the truth: dead loads against the plane elastica, o
 Newton steps on four more nodes, motions against two more nodes and a tenth of the tolerance. Off by more than 1e-3 of
 the length (motions: of the travel) without a word is *wrong*; with a warning, a lost branch or a clean status it is
 *flagged* or *failed*. Broken is what is wrong, crashes, hangs, raises, or returns NaN. Every case runs in a worker
-process under a wall-clock limit. A run that is killed goes on where it was when it is started again with the same
+process under a limit of CPU time. A run that is killed goes on where it was when it is started again with the same
 arguments. ``--case '{...}'`` runs one case as it is printed; ``--only TEXT`` the sweeps whose names contain it.
 """
 
@@ -203,7 +203,7 @@ def _map(figure: Any, axis: Any, rows: list[Row]) -> None:
 
 def main() -> None:
     made = parser(__doc__ or "")
-    made.add_argument("--limit", type=float, default=120.0, help="wall-clock limit of a case in s")
+    made.add_argument("--limit", type=float, default=120.0, help="limit of a case in s of CPU time")
     made.add_argument("--workers", type=int, default=2, help="worker processes")
     made.add_argument("--only", default="", metavar="TEXT", help="run the sweeps whose names contain this")
     made.add_argument("--case", default=None, metavar="JSON", help="run this one case only, as printed by a run")

@@ -1,4 +1,4 @@
-"""Cases run in worker processes under a wall-clock limit: a hang or a crash costs one worker, never the run."""
+"""Cases run in worker processes under a limit of their time: a hang or a crash costs one worker, never the run."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ Case = dict[str, Any]
 Outcome = dict[str, Any]
 #: Seconds between two writes of what is finished.
 EVERY = 2.0
+#: Time by the clock that a case may take, in parts of its limit: it may wait, and others may use the machine.
+WAITING = 10.0
 #: Seconds that a worker without work is given to end.
 PATIENCE = 5.0
 
@@ -72,7 +74,9 @@ def run_watched(
     workers: int,
     finished: Finished | None = None,
 ) -> list[Outcome]:
-    """Outcome of every case, in order. A case over ``limit`` s is ``hang``, one that kills its worker ``crash``.
+    """Outcome of every case, in order. One that takes longer is ``hang``, one that kills its worker ``crash``.
+
+    ``limit`` is in s of CPU time, so that a busy machine makes no hangs; a case that waits has ``WAITING`` times that.
 
     Cases that ``finished`` holds are not run again; it is given the others as they end.
     """
@@ -116,10 +120,10 @@ def _serve(
         outcome: Outcome = {"outcome": "crash", "message": "the worker died"}
         try:
             pipe.send(cases[index])
-            if pipe.poll(limit):
+            if _answers(process, pipe, limit):
                 outcome = pipe.recv()
             else:
-                outcome = {"outcome": "hang", "message": f"no answer in {limit:g} s"}
+                outcome = {"outcome": "hang", "message": f"no answer in {limit:g} s of CPU time"}
         except (EOFError, OSError):
             pass
         if outcome["outcome"] in ("hang", "crash"):
@@ -131,6 +135,24 @@ def _serve(
     process.join(PATIENCE)
     process.kill()
     process.join()
+
+
+def _answers(process: Any, pipe: Connection, limit: float) -> bool:
+    """Whether an answer comes before the worker has used ``limit`` s."""
+    used, end = _cpu_seconds(process.pid), time.monotonic() + WAITING * limit
+    while not pipe.poll(min(0.5, limit)):
+        if _cpu_seconds(process.pid) - used > limit or time.monotonic() > end:
+            return pipe.poll(0.0)
+    return True
+
+
+def _cpu_seconds(pid: int) -> float:
+    """CPU time of a process; that of the clock where the system does not tell, and of one that has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return time.monotonic()
 
 
 def _start(work: Callable[[Case], Outcome]) -> tuple[Any, Connection]:

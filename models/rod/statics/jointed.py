@@ -70,7 +70,9 @@ class JointedScene(Rebuilt):
         """The scene on a base whose pose is an input."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # said by the scene itself
-            still = replace(self.base, position=Input(PLACE, 3), rotation=Input(TURN, 3), hinge=None, slides="")
+            still = replace(
+                self.base, position=Input(PLACE, 3), rotation=Input(TURN, 3), hinge=None, slides="", stiffness=0.0
+            )
             return self.scene.replace(still)
 
     @cached_property

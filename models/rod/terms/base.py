@@ -42,6 +42,9 @@ class Base:
         hinge: axis (3,) in world axes about which the base turns freely, any number of times; "ball" for all of them,
             up to a turn (the rotation vector is singular there). None: it does not turn by itself.
         slides: world axes along which it slides freely, some of "xyz".
+        stiffness: of springs in the joint that pull it to the prescribed pose: N/m along slides, N m/rad about a hinge,
+            one number for all of one kind of joint or one for each joint coordinate. A force or moment on the joint is
+            ``PointWrench(0.0, ...)``.
     """
 
     position: Vector = _ZERO
@@ -52,6 +55,7 @@ class Base:
     spin_rate: Vector = _ZERO
     hinge: Sequence[float] | str | None = None
     slides: str = ""
+    stiffness: float | Sequence[float] = 0.0
 
     def __post_init__(self) -> None:
         for name in _MOTION:
@@ -69,6 +73,27 @@ class Base:
         turns = isinstance(self.rotation, Input) or any(v != _ZERO for v in (self.spin, self.spin_rate))
         if self.hinge is not None and turns:
             raise ValueError("a Base with a hinge turns by itself; give its rotation as numbers, and no spin")
+        self._check_springs()
+
+    def _check_springs(self) -> None:
+        """Raise ValueError for springs that are none, or that no joint has."""
+        one = np.ndim(self.stiffness) == 0
+        given = finite_array(self.stiffness, "Base stiffness", () if one else (self.freedom,))
+        if one and not given:
+            return
+        if not self.freedom:
+            raise ValueError(f"Base stiffness = {self.stiffness} of a base that is clamped; give hinge= or slides=")
+        if one and self.slides and self.hinge is not None:
+            names = ", ".join(self.joint_names)
+            raise ValueError(f"Base stiffness = {self.stiffness} of slides and turns; give one number each: {names}")
+        if given.min(initial=0.0) < 0.0:
+            raise ValueError(f"Base stiffness = {self.stiffness} pushes the joint away; expected numbers >= 0")
+        object.__setattr__(self, "stiffness", tuple(np.broadcast_to(given, self.freedom).tolist()))
+
+    @property
+    def springs(self) -> Array:
+        """Stiffness of every joint coordinate (f,) in N/m and N m/rad."""
+        return np.broadcast_to(np.asarray(self.stiffness, dtype=np.float64), self.freedom)
 
     @property
     def freedom(self) -> int:
@@ -171,7 +196,7 @@ class Base:
             rows.append(_spinning(q[k:]).T @ moment)
         elif self.hinge is not None:
             rows.append(ca.dot(self._axis, moment))
-        return ca.vertcat(*rows)
+        return ca.vertcat(*rows) - ca.sparsify(ca.SX(ca.DM(self.springs))) * q
 
     def describe(self, rod: Any) -> str:
         """What is prescribed. ``rod`` is that of the scene."""
@@ -180,6 +205,8 @@ class Base:
         if self.hinge is not None:
             axis = "any axis" if self.hinge == "ball" else f"({', '.join(f'{v:g}' for v in self.hinge)})"
             free.append(f"turns about {axis}")
+        if self.springs.any():
+            free.append(f"springs of {', '.join(f'{k:g}' for k in self.springs)} N/m or N m/rad")
         return f"base {', '.join(given) or 'at the origin'}{''.join(f', {what}' for what in free)}"
 
 

@@ -125,9 +125,10 @@ class Loads:
             self.tip_force += force
             self.tip_moment += moment
         else:
-            shares = ca.DM(shares_below(motion, s))
-            self.point_force += force @ shares
-            self.stress_w -= motion.to_body(moment @ shares)
+            if s > 0.0:
+                shares = ca.DM(shares_below(motion, s))
+                self.point_force += force @ shares
+                self.stress_w -= motion.to_body(moment @ shares)
             self.base_force += force
             self.base_moment += moment
 

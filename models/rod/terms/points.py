@@ -12,6 +12,7 @@ from pisplit.checks import finite_array, non_negative, positive
 from pisplit.models.rod.kinematics.gauss import Rule
 from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.section.body import Rod
+from pisplit.models.rod.terms.base import joint_of
 from pisplit.models.rod.terms.idle import idle_wrench
 from pisplit.models.rod.terms.loads import Input, Loads, Vector, checked_vector, on_the_rod
 
@@ -22,7 +23,8 @@ class PointWrench:
 
     Components are in world axes (a dead load) or, with ``follower=True``, in the axes of the cross-section at ``s``.
     Below the point the rod carries the load and above it does not: exact where an element ends at ``s``, within the
-    smoothness of the strains otherwise (its work is exact either way).
+    smoothness of the strains otherwise (its work is exact either way). At ``s = 0`` it acts on a base with a hinge or
+    slides.
 
     Args:
         s: arclength in m.
@@ -36,7 +38,7 @@ class PointWrench:
     follower: bool = False
 
     def __post_init__(self) -> None:
-        positive(self.s, "PointWrench s", "m")
+        non_negative(self.s, "PointWrench s", "m")
         object.__setattr__(self, "force", checked_vector(self.force, "PointWrench force"))
         object.__setattr__(self, "moment", checked_vector(self.moment, "PointWrench moment"))
 
@@ -47,11 +49,12 @@ class PointWrench:
 
     def check(self, rod: Rod, rule: Rule) -> None:
         """Raise ValueError where ``s`` is off the rod. ``rod`` and ``rule``, its nodes, are those of the scene."""
-        on_the_rod(self.s, rod.length, "PointWrench")
+        if self.s:
+            on_the_rod(self.s, rod.length, "PointWrench")
 
     def jumps(self, rod: Rod) -> list[float]:
         """Where the load of the ``rod`` jumps."""
-        return [self.s]
+        return [self.s] if self.s else []
 
     def apply(self, motion: Motion, loads: Loads) -> None:
         """Add the wrench at ``s``. ``motion`` is that of the rod; ``loads`` takes what is added."""
@@ -62,10 +65,12 @@ class PointWrench:
         loads.add_at(motion, self.s, ca.sparsify(force), ca.sparsify(moment))
 
     def idle(self, rod: Any, terms: tuple[Any, ...]) -> str | None:
-        """Why it acts on nothing, if so: all of it is across the plane of a planar ``rod``.
+        """Why it acts on nothing, if so: it is on a clamped base, or across the plane of a planar ``rod``.
 
         ``rod`` and ``terms`` are those of the scene.
         """
+        if not self.s and joint_of(terms) is None:
+            return "acts on a base that is clamped; give it s > 0, or a Base with hinge= or slides="
         return idle_wrench(self.force, self.moment, rod, terms)
 
     def describe(self, rod: Any) -> str:
