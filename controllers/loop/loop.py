@@ -22,6 +22,7 @@ from pisplit.controllers.loop.pacing import Pace
 from pisplit.controllers.loop.plant import Plant
 from pisplit.controllers.loop.recorder import Recorder
 from pisplit.controllers.loop.reidentify import Identifier, NewModel, changed
+from pisplit.controllers.loop.swinging import swinging
 from pisplit.controllers.loop.tracking import Controller, Move, start_input
 from pisplit.controllers.loop.wiring import wire
 from pisplit.controllers.references import Reference
@@ -76,7 +77,8 @@ class ClosedLoop:
         A plant that fails, leaves 1e3 times the range of the training data or measures infinities ends the run; so do
         an exception in plant or controller and a keyboard interrupt: the log of what was run is returned, and its
         ``message`` says why (``log`` has it too). NaN is taken for not measured: the controller bridges it, counted in
-        the log. Raises ValueError if reference and controller do not fit. ``progress``: show a bar. A reference beyond
+        the log. A loop that swings between its rate limits is warned of, once. Raises ValueError if reference and
+        controller do not fit. ``progress``: show a bar. A reference beyond
         three times the range of the training data is warned of.
 
         ``log_file``: HDF5 file to which the log is written about once a second while it runs, and whole at the end;
@@ -234,6 +236,9 @@ class ClosedLoop:
                     record.message = _at(k, first + steps, dt) + f"the plant {problem}"
                     break
                 record.add(move, u, spent, late, state, self.controller)
+                if note := swinging(record, self.controller, dt):
+                    record.notes.append(note)
+                    warnings.warn(note, stacklevel=3)
                 follower.write_if_due()
                 where = "a callback"
                 step = LoopStep(k, (k + 1) * dt, state.copy(), record.wanted[k + 1].copy(), u.copy(), move)

@@ -20,7 +20,8 @@ LIMIT_TOLERANCE = 1e-9
 class Recorder:
     """A run: its ``reference``, bound to the start, and its samples ``wanted`` (so far); ``u0`` (m,); states ``x``,
     ``moves``, the inputs ``u`` of completed steps, ``plant_time`` and ``late`` [s] each, whether a limit of then was
-    ``broken``; ``message`` and ``notes`` as in the log; ``stuck``: states that were found stuck."""
+    ``broken``; ``message`` and ``notes`` as in the log; ``stuck``: states that were found stuck; ``swings``: whether
+    that was said."""
 
     reference: Reference
     wanted: Array
@@ -34,6 +35,7 @@ class Recorder:
     message: str = ""
     notes: list[str] = field(default_factory=list)
     stuck: set[int] = field(default_factory=set)
+    swings: bool = False
 
     def copy(self) -> Recorder:
         """A record that goes on apart from this one."""
