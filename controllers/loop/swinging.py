@@ -24,6 +24,7 @@ def swinging(record: Recorder, controller: Controller, dt: float) -> str:
 
     A limit cycle of a model that does not carry its loop looks like this: at least half of the steps at a rate limit,
     turned from one to the other four times and more, an error larger than the way of the reference in that time.
+    ``controller``: whose rate limits and outputs these are; ``dt``: the step in s.
     """
     k = len(record.u)
     if record.swings or k < STEPS or k % (STEPS // 4):
