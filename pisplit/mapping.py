@@ -97,3 +97,29 @@ def _dense(function: ca.Function) -> ca.Function:
         return function
     symbols = [ca.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
     return ca.Function(f"{function.name()}_dense", symbols, [ca.densify(function(*symbols))])
+
+
+class Buffered:
+    """A CasADi function with dense arguments and results as a call with numpy arrays, without conversions.
+
+    Results are flat arrays in column-major order that the next call overwrites. For one thread at a time; no file holds
+    it. ``function`` must have no empty and no sparse arguments.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._inputs = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        self._results = tuple(np.zeros(function.numel_out(i)) for i in range(function.n_out()))
+        buffer: Any
+        buffer, self._run = function.buffer()
+        self._buffer = buffer
+        for i, memory in enumerate(self._inputs):
+            buffer.set_arg(i, memory.data)
+        for i, memory in enumerate(self._results):
+            buffer.set_res(i, memory.data)
+
+    def __call__(self, *arguments: Array) -> tuple[Array, ...]:
+        """The results for ``arguments``, each in the shape of the transposed (row-major) argument."""
+        for memory, argument in zip(self._inputs, arguments, strict=True):
+            memory.reshape(argument.shape)[...] = argument
+        self._run()
+        return self._results

@@ -167,3 +167,20 @@ def test_what_is_too_fast_for_a_step_is_damped() -> None:
         _, a = radau(stages)
         growth = 1.0 - a[-1] @ np.linalg.solve(a, np.ones(stages))  # of x' = lambda x for lambda -> -infinity
         assert abs(growth) < 1e-12
+
+
+def test_derivatives_of_a_step_are_those_of_the_pieces_it_is_taken_in() -> None:
+    plant = arm().scene.fast_stepper(dt=DT)
+    plant.reset(arm().rest_inputs)
+    q, u = plant.scene.layout.n_moving, arm().rest_inputs + 2e-3 * np.array([1.0, -0.3, -0.7])
+    x = plant.state
+
+    def after(command: Array) -> Array:
+        rows, stats = plant.integrate(x, command[None])
+        assert stats["halved"] == 1  # the motion is too fast for one piece
+        return rows[0]
+
+    found, way = plant.sensitivity(x, u), np.array([1.0, -0.5, -0.5])
+    np.testing.assert_array_equal(found.x[:q], after(u))
+    slope = (after(u + 1e-7 * way) - after(u - 1e-7 * way)) / 2e-7
+    np.testing.assert_allclose(found.d_input[:q] @ way, slope, atol=1e-4 * np.abs(slope).max())

@@ -201,6 +201,7 @@ class MPC:
         start = start_input(u0, self.u_min, self.u_max)
         self._estimation.reset(start)
         self._problem.restart()
+        self._prediction.reset()
         self._fallback.reset(start)
         self._line.fill(start)
         self._commanded = np.array(start)
@@ -287,6 +288,7 @@ class MPC:
             self._line.own(),
             self._commanded.copy(),
             None if self._wanted is None else self._wanted.copy(),
+            self._prediction.snapshot(),
         )
 
     def restore(self, state: MPCState) -> None:
@@ -301,6 +303,7 @@ class MPC:
         self._line.take(state.line)
         self._commanded = state.commanded.copy()
         self._wanted = None if state.wanted is None else state.wanted.copy()
+        self._prediction.restore(state.prediction)
 
     @one_blas_thread()
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pisplit.checks import Array
@@ -78,6 +80,19 @@ class Prediction:
             y_free = y_free + latency.part * first @ v_previous
             S = None if S is None else latency.mixed(S, r)
         return S, y_free
+
+    def snapshot(self) -> Any:
+        """What the next prediction starts from beside its arguments: derivatives along the last plan, or None."""
+        return None if self._along is None else self._along.snapshot()
+
+    def restore(self, kept: Any) -> None:
+        """Go on from ``kept``, a snapshot."""
+        if self._along is not None:
+            self._along.restore(kept)
+
+    def reset(self) -> None:
+        """Forget the last plan."""
+        self.restore(None)
 
     def _acting_response(self, z: Array, w: Array, v: Array) -> tuple[Array | None, Array]:
         """The same for inputs v (H, r) that act at once."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pisplit.checks import Array
@@ -22,9 +24,17 @@ class AlongPlan:
         self._model = model
         self._transition = Transition(model.A)
         self._read, self._offset, self._T = read, offset, T
+        along = getattr(model.relifted, "along", None)
+        self._own = None if along is None else along(read, offset, T)  # that of the term itself
 
     def __call__(self, z: Array, w: Array, u: Array) -> tuple[Array, Array]:
         """S (H p, H r) = dy/dv and y (H p,) at steps k+1 .. k+H from z_k (M,) under u (H, m), disturbance w (M,)."""
+        if self._own is not None:
+            try:
+                return self._own(z, w, u)
+            except RuntimeError:  # a step that nothing solves: the problem says so
+                H, p = len(u), len(self._read)
+                return np.full((H * p, H * self._T.shape[1]), np.nan), np.full(H * p, np.nan)
         if self._model.relifted is not None:
             return self._step_by_step(z, w, u)
         model, term, T = self._model, self._model.bilinear_term, self._T
@@ -47,6 +57,15 @@ class AlongPlan:
             S[j, :, : (j + 1) * r] = self._read @ sensitivity
             y[j] = self._read @ z + self._offset
         return S.reshape(H * p, H * r), y.ravel()
+
+    def snapshot(self) -> Any:
+        """What the next call starts from, None where it starts from nothing."""
+        return None if self._own is None else self._own.snapshot()
+
+    def restore(self, kept: Any) -> None:
+        """Go on from ``kept``, a snapshot, or None: from nothing."""
+        if self._own is not None:
+            self._own.restore(kept)
 
     def _step_by_step(self, z: Array, w: Array, u: Array) -> tuple[Array, Array]:
         """The same for a re-lifted model: every step has a Jacobian of its own."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from pisplit.checks import Array
 from pisplit.controllers.estimation.lifted_state import EstimationState
@@ -15,7 +16,8 @@ class MPCState:
     """An MPC between two steps.
 
     States of ``estimation``, ``problem`` and ``fallback``; last ``plan`` (None before the first); ``line`` of commands
-    on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first.
+    on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first; derivatives
+    along the last plan of the ``prediction``, None where each move takes its own.
     """
 
     estimation: EstimationState
@@ -25,3 +27,4 @@ class MPCState:
     line: tuple[Array, ...]
     commanded: Array
     wanted: Array | None
+    prediction: Any = None

@@ -9,9 +9,12 @@ import casadi as ca
 import numpy as np
 
 from pisplit.checks import Array, positive
+from pisplit.front.planned import PlannedOutputs
 from pisplit.lifted.model import LiftedModel
+from pisplit.mapping import Buffered
 from pisplit.models.arm import Arm
 from pisplit.models.rod.analysis.fields import UNITS
+from pisplit.models.rod.dynamics.fast import FastStepper
 
 #: Steps of a recording that tells the ranges of the states.
 RANGE_STEPS = 60
@@ -42,12 +45,12 @@ class PhysicalStep:
         if z.ndim > 1:
             rows = [self(a, b) for a, b in zip(z.reshape(-1, z.shape[-1]), u.reshape(-1, self.m), strict=True)]
             return np.reshape(rows, z.shape)
-        return self._next(u, self._stepper.integrate(z[: self.n + self.m], u[None])[0][-1])
+        return self._next(u, self.stepper.integrate(z[: self.n + self.m], u[None])[0][-1])
 
     def jacobian(self, z: Array, u: Array) -> tuple[Array, Array]:
         """dg/dz (M, M) and dg/du (M, m) at one ``z`` (M,) and ``u`` (m,)."""
-        step, n, m, M = self._stepper.sensitivity(z[: self.n + self.m], u), self.n, self.m, len(z)
-        of_fields = np.asarray(self._fields[1](step.x[:n]))
+        step, n, m, M = self.stepper.sensitivity(z[: self.n + self.m], u), self.n, self.m, len(z)
+        of_fields = np.asarray(self._fields_slope(step.x[:n]))
         by_state, by_input = np.zeros((M, M)), np.zeros((M, m))
         by_state[:n, : n + m], by_input[:n] = step.d_state[:n], step.d_input[:n]
         by_input[n : n + m] = np.eye(m)
@@ -55,19 +58,34 @@ class PhysicalStep:
         by_input[n + m :] = of_fields @ step.d_input[:n]
         return by_state, by_input
 
+    def along(self, read: Array, offset: Array, T: Array) -> PlannedOutputs:
+        """Outputs with rows ``read`` (p, M) of C and ``offset`` (p,) of d along plans u = T v, T (m, r)."""
+        return PlannedOutputs(self, read, offset, T)
+
     def _next(self, u: Array, x: Array) -> Array:
-        return np.concatenate([x[: self.n], u, np.asarray(self._fields[0](x[: self.n])).ravel()])
+        return np.concatenate([x[: self.n], u, *self._fields_at(x[: self.n])])
 
     @cached_property
-    def _stepper(self) -> Any:
+    def stepper(self) -> FastStepper:
+        """What moves the arm."""
         return self.arm.scene.fast_stepper(dt=self.dt, stations=self.stations)
 
     @cached_property
-    def _fields(self) -> tuple[ca.Function, ca.Function]:
+    def measured(self) -> tuple[ca.SX, ca.SX]:
+        """[xi, xi_t] (n,) and the fields at rest inputs that are measured there."""
         n, fields = self.n, self.arm.scene.field_map(self.stations).symbolic
         x = ca.SX.sym("x", n)
-        y = fields(x[: n // 2], x[n // 2 :], ca.SX.zeros(n // 2), ca.SX.zeros(self.m))
-        return ca.Function("fields", [x], [y]), ca.Function("slope", [x], [ca.densify(ca.jacobian(y, x))])
+        return x, fields(x[: n // 2], x[n // 2 :], ca.SX.zeros(n // 2), ca.SX.zeros(self.m))
+
+    @cached_property
+    def _fields_at(self) -> Buffered:
+        x, y = self.measured
+        return Buffered(ca.Function("fields", [x], [ca.densify(y)], {"cse": True}))
+
+    @cached_property
+    def _fields_slope(self) -> ca.Function:
+        x, y = self.measured
+        return ca.Function("slope", [x], [ca.densify(ca.jacobian(y, x))])
 
     def __getstate__(self) -> dict[str, Any]:
         return {"arm": self.arm, "dt": self.dt, "stations": self.stations}
@@ -94,6 +112,8 @@ def physical_model(arm: Arm, dt: float, stations: int = 6) -> LiftedModel:
     seen = arm.record(1, 0, RANGE_STEPS, dt, stations, workers=1, progress=False)
     found, coordinates = scene.field_map(stations), scene.coordinates(stations).function
     names, n, m = step.names, step.n, step.m
+    at_rest = scene.statics().solve(arm.rest_inputs).state[:n]
+    step(np.concatenate([at_rest, arm.rest_inputs, np.zeros(len(names))]), arm.rest_inputs)  # its functions are built
     size, M = len(names), step.n + step.m + len(step.names)
     x, v, u = ca.MX.sym("x", size, 2), ca.MX.sym("v", m, 1), ca.MX.sym("u", m)
     lifted = ca.vertcat(coordinates(x[:, 1]), v, x[:, 1])

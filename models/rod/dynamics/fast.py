@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, positive
 from pisplit.models.rod.dynamics.collocation import Collocation
+from pisplit.models.rod.dynamics.march import March, Piece
 from pisplit.models.rod.dynamics.motion_check import reason
 from pisplit.models.rod.dynamics.stepper import Stepper
 from pisplit.models.rod.dynamics.trajectory import Trajectory
@@ -38,7 +39,10 @@ POINTS = 6
 
 @dataclass
 class _Taken:
-    """Intervals of a run as they were taken: states and estimated errors in m, numbers of those that needed more."""
+    """Intervals of a run as they were taken: states and estimated errors in m, numbers of those that needed more.
+
+    ``cuts``: where the last of those that were halved was cut, in parts of it.
+    """
 
     rows: list[Array] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
@@ -46,6 +50,7 @@ class _Taken:
     idas: list[int] = field(default_factory=list)
     steps: int = 0
     message: str = ""
+    cuts: list[float] = field(default_factory=lambda: [0.0])
 
 
 class FastStepper(Stepper):
@@ -272,6 +277,7 @@ class FastStepper(Stepper):
         Raises RuntimeError beyond the last halving.
         """
         whole_interval = 1 << MAX_HALVINGS
+        self._last.cuts = [0.0]
         done, error, steps = 0, 0.0, 0
         whole: Array | None = None
         while done < whole_interval:
@@ -283,6 +289,7 @@ class FastStepper(Stepper):
             second = None if first is None else self._step(first, at[1], at[2], 0.5 * h)
             apart = np.inf if whole is None or second is None else self._distance(whole, second, at[2])
             if second is not None and apart <= self.accuracy * self.scene.rod.length:
+                self._last.cuts += [(done + 0.5 * piece) / whole_interval, (done + piece) / whole_interval]
                 x, done, error, steps, whole = second, done + piece, error + apart, steps + 2, None
                 if apart < EASY * self.accuracy * self.scene.rod.length and depth and done % (2 * piece) == 0:
                     depth -= 1
@@ -291,6 +298,17 @@ class FastStepper(Stepper):
             else:
                 depth, whole = depth + 1, first
         return x, error, steps, depth
+
+    def _pieces(self, start: Array, command: Array) -> tuple[Array, list[Piece]]:
+        """As ``integrate`` takes the step; where IDAS takes it, the derivatives are those of steps of ``dt / 512``."""
+        states, stats = self.integrate(start, command[None, :])
+        layout, at = self.scene.layout, np.arange(self.substeps + 1) / self.substeps
+        if stats["idas"]:
+            at = np.arange((1 << MAX_HALVINGS) + 1) / (1 << MAX_HALVINGS)
+        elif stats["halved"]:
+            at = np.array(self._last.cuts)
+        march = March(self.collocation, self.tolerance)
+        return states[0], march.cut(start[layout.moving], start[layout.inputs], command, self.dt, at)
 
     def _completed(self, found: Trajectory) -> Trajectory:
         taken = self._last

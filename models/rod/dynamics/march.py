@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -57,7 +58,7 @@ class March:
         self._matrix: tuple[float, ca.DM] | None = None
 
     def interval(self, x: Array, before: Array, command: Array, dt: float, substeps: int) -> list[Piece]:
-        """All internal steps of one control interval.
+        """All internal steps of one control interval: ``cut`` into equal ones.
 
         Args:
             x: [xi, xi_t] (2n,) at its start.
@@ -68,10 +69,17 @@ class March:
 
         Raises RuntimeError where Newton's method does not converge in the smallest steps.
         """
+        return self.cut(x, before, command, dt, np.arange(substeps + 1) / substeps)
+
+    def cut(self, x: Array, before: Array, command: Array, dt: float, at: Array) -> list[Piece]:
+        """The same from ``x`` (2n,) under ``before`` to ``command`` (m,) in steps between the times ``at`` (k,).
+
+        These rise from 0 to 1, in parts of ``dt``.
+        """
         pieces: list[Piece] = []
-        for k in range(substeps):
-            start, end = (before + (command - before) * (k + j) / substeps for j in (0, 1))
-            made = self._advance(x, (start, end), dt / substeps)
+        for first, last in pairwise(at):
+            start, end = before + (command - before) * first, before + (command - before) * last
+            made = self._advance(x, (start, end), dt * (last - first))
             if len(made) > 1:
                 self._guess = None
             x = made[-1].end

@@ -131,18 +131,24 @@ class Stepper(Propagation):
         command = self.scene.checked_inputs(u, "u", (m,))
         slope = np.hstack([np.eye(q), np.zeros((q, 2 * m))])  # d [xi, xi_t] / d [xi, xi_t, u before, command]
         time = 0.0
-        end = start[layout.moving]
-        march = March(self.collocation, self.tolerance)
-        for piece in march.interval(start[layout.moving], start[layout.inputs], command, self.dt, self.substeps):
+        end, pieces = self._pieces(start, command)
+        for piece in pieces:
             ends = np.array([time, time + piece.h]) / self.dt
             slope = self._slope(piece, slope, ends)
-            time, end = time + piece.h, piece.end
+            time += piece.h
         below = np.zeros((m, layout.size))
         return StepSensitivity(
             x=np.concatenate([end, command]),
             d_state=np.vstack([slope[:, : layout.size], below]),
             d_input=np.vstack([slope[:, layout.size :], np.eye(m)]),
         )
+
+    def _pieces(self, start: Array, command: Array) -> tuple[Array, list[Piece]]:
+        """The end (n_moving,) of one step and the pieces it was taken in."""
+        layout = self.scene.layout
+        march = March(self.collocation, self.tolerance)
+        pieces = march.interval(start[layout.moving], start[layout.inputs], command, self.dt, self.substeps)
+        return pieces[-1].end, pieces
 
     def _slope(self, piece: Piece, slope: Array, ends: Array) -> Array:
         """Derivative of [xi, xi_t] after a piece from that before it; ``ends`` are its times in parts of ``dt``."""
