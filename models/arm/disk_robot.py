@@ -6,18 +6,20 @@ import os
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit import Episodes
 from pisplit.checks import Array, count, non_negative
 from pisplit.data.actuator import Actuator
 from pisplit.models import rod
-from pisplit.models.arm.recording import make_episodes, random_targets
-from pisplit.models.arm.resting import RestShapes, turned
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
+
+if TYPE_CHECKING:
+    from pisplit import Episodes
+    from pisplit.models.arm.resting import RestShapes
 
 #: Disks, friction coefficient, lag in s and play in m of the servos, EI and mass as parts of the drawing's, by preset.
 PRESETS = {
@@ -103,6 +105,8 @@ class DiskRobot:
             workers: processes, -1 for one a core.
             progress: whether to show a bar.
         """
+        from pisplit.models.arm.recording import make_episodes
+
         with tempfile.TemporaryDirectory() as folder:
             made = make_episodes(
                 self.arm,
@@ -135,6 +139,9 @@ class DiskRobot:
 
         Raises RuntimeError where too few commands have an equilibrium.
         """
+        from pisplit.models.arm.recording import random_targets
+        from pisplit.models.arm.resting import RestShapes
+
         rng = np.random.default_rng(np.random.SeedSequence(count(seed, "seed", 0), spawn_key=(12,)))
         wanted = count(number, "number")
         u = random_targets(self.arm, wanted + 4, rng)
@@ -155,6 +162,8 @@ class DiskRobot:
         y = x + std * rng.standard_normal(x.shape)
         fields = y.reshape(len(y), -1, N_FIELDS)  # a view
         if self.noise_angle > 0.0:
+            from pisplit.models.arm.resting import turned
+
             fields[..., 3:12] = turned(fields[..., 3:12], self.noise_angle, rng)
         return y
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from pisplit.data.suspicions import noise_level
 
@@ -114,6 +113,8 @@ def _averaged(z: Array, u: Array, reach: int) -> tuple[Array, Array]:
     size = 1 + 2 * min(reach // 4, round(float(np.clip(0.5 / (AUDIBLE * max(steps, 1e-300)), 0.0, reach))))
     if size == 1:
         return z, u
+    from scipy.ndimage import uniform_filter1d  # a third of a second, for recordings with noise alone
+
     smooth = [np.asarray(uniform_filter1d(part, size, axis=0, mode="nearest")) for part in (z, u)]
     return smooth[0], smooth[1]
 
