@@ -89,6 +89,24 @@ def test_a_tip_that_is_twisted_by_many_turns_stores_all_of_them(turns: float, no
     assert scene.reactions(rest.state) == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, torque], abs=1e-7)
 
 
+@pytest.mark.parametrize(("pull", "stands"), [(1.0, True), (200.0, False)])
+def test_stability_of_a_twisted_rod_on_few_nodes_is_not_trusted(pull: float, stands: bool) -> None:
+    """2.3 turns are a moment of 11.6 EI/L: too much for a pull of EI/L^2 (9.2), two fifths of what 200 of them bear.
+
+    Four nodes say the opposite, and that more should be tried.
+    """
+    thin = body("kirchhoff")
+    force = rod.TipWrench(force=(0.0, 0.0, pull * thin.stiffness[0] / LENGTH**2))
+    slides = rod.HeldTip(position=(0.0, 0.0, 0.0), axes="xy", rotation=(0.0, 0.0, 4.6 * np.pi))
+    scene = rod.Scene(thin, force, slides, nodes=4)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", rod.Unresolved)
+        found = scene.statics().solve()
+    assert found.success == stands
+    told = "".join(str(w.message) for w in said) if stands else found.message
+    assert "stability is that of the grid" in told and int(told.split("try nodes=")[1]) in range(8, 14)
+
+
 def test_the_tip_stays_where_it_is_for_ten_seconds() -> None:
     """1e-10 L after 10 s and 500 steps of every scheme, with rates that do not move it either."""
     scene = bent("planar", rod.Retardation(0.02), nodes=8)

@@ -22,6 +22,7 @@ from pisplit.models.rod.statics.descent import descend
 from pisplit.models.rod.statics.held import HeldJudge
 from pisplit.models.rod.statics.path import Event, Walk, walk
 from pisplit.models.rod.statics.search import TOLERANCE
+from pisplit.models.rod.statics.twisted import doubt
 from pisplit.models.rod.statics.whitened import Way
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.wrench import TipWrench
@@ -359,6 +360,8 @@ class FixedTip(Rebuilt):
             message = f"{where}; lost stability at {', '.join(lost)}" if lost else where
         wrench = self._wrench(y[n:], pose[3:].reshape(3, 3, order="F"), np.zeros(3), np.zeros(3))
         state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
+        if not success:
+            message = "; ".join(filter(None, [message, doubt(self.scene, state, walked.t)]))
         return FixedTipEquilibrium(
             state,
             *wrench,

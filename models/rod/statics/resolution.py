@@ -14,6 +14,7 @@ from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.refinement import MOST, cut_at, grids, places_of_jumps
+from pisplit.models.rod.statics.twisted import doubt
 from pisplit.models.rod.terms.pull import TendonTerm
 
 if TYPE_CHECKING:
@@ -100,6 +101,9 @@ class Resolution(Rebuilt):
             return
         worst = int(bent.argmax())
         self.checked = float(bent[worst])
+        twisted = doubt(self.scene, states[worst])
+        if twisted:
+            warnings.warn(twisted, Unresolved, stacklevel=5)
         error = self.error(states[worst])
         if error > CAUTION * COARSE:
             if self._bends_at_disks:
