@@ -62,7 +62,7 @@ def log_of(arm: TendonArm, u: np.ndarray | None = None) -> LoopLog:
 
 @pytest.fixture(scope="module")
 def arm() -> TendonArm:
-    return TendonArm.paper()
+    return TendonArm.paper(3)
 
 
 @pytest.fixture(scope="module")

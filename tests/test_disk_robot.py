@@ -18,8 +18,9 @@ DT = 0.03
 
 @pytest.fixture(scope="module")
 def robot() -> DiskRobot:
-    """Lag and play alone: quick to move."""
-    return disk_robot(1, disks=False, friction=False, noise=False)
+    """Lag and play alone, on three nodes: quick to move."""
+    made = disk_robot(1, disks=False, friction=False, noise=False)
+    return DiskRobot(TendonArm.paper(3), made.drawing, made.actuator, made.noise, made.noise_angle)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +124,7 @@ def test_shapes_at_rest_are_where_play_leaves_the_arm(robot: DiskRobot) -> None:
 
 def test_a_state_that_is_no_shape_of_the_arm_is_said(recorded: Episodes) -> None:
     """Positions in centimetres, or of an arm half as long."""
-    ahead = ArmPredictor(TendonArm.paper(), DT)
+    ahead = ArmPredictor(TendonArm.paper(3), DT)
     x = recorded.xs[0][0].copy()
     points = np.array(recorded.units) == "m"
     for factor in (100.0, 0.5):

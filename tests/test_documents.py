@@ -20,7 +20,7 @@ import numpy as np
 from pisplit import Dictionary, LinearEDMDc, observables as ob
 from pisplit.controllers import MPC, references
 from pisplit.models.arm import TendonArm, make_episodes
-arm = TendonArm.paper(4)
+arm = TendonArm.paper(3)
 d1 = make_episodes(arm, "d1.h5", episodes=3, steps=60, workers=1, progress=False)
 theta = Dictionary(ob.Constant(), ob.Identity(), ob.Delays(inputs=1), n_states=d1.n_states, n_inputs=d1.n_inputs)
 model = LinearEDMDc(theta, alpha=1e-4).fit(d1)
@@ -39,7 +39,7 @@ import numpy as np
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc, observables as ob
 from pisplit.models import systems
 from pisplit.models.arm import TendonArm, make_episodes
-arm = TendonArm.paper(4)
+arm = TendonArm.paper(3)
 rng = np.random.default_rng(0)
 u_rest = arm.rest_inputs + 4e-3 * rng.standard_normal((8, 3))
 x_rest = arm.scene.statics().solve_many(u_rest).states[:, : arm.scene.n_strains]
@@ -97,7 +97,21 @@ SHORTER = {
         "arm=arm": "arm=arm, candidates=['L-EDMDc']",
         "steps=400": "steps=20",
     },
-    "docs/front.md": {"episodes=10": "episodes=4, steps=60", "samples=4000": "samples=400", "steps=400": "steps=20"},
+    "docs/front.md": {
+        "nodes=4,\n)": "nodes=3,\n)",
+        "rest_shapes(16": "rest_shapes(4",
+        "identify(d1, progress": "identify(d1, candidates=['L-EDMDc', 'L-EDMDc, cubic'], progress",
+        "TendonArm.paper()": "TendonArm.paper(3)",
+        "episodes=10": "episodes=3, steps=40",
+        "samples=4000": "samples=200",
+        "half_width=0.022": "half_width=0.022, points=9",
+        "steps=400": "steps=20",
+    },
+    "docs/rod.md": {
+        "nodes=5,\n)": "nodes=4,\n)",
+        "tendons=3)": "tendons=3, nodes=3)",
+        "np.linspace(0.0, 1.0, 20)": "np.linspace(0.0, 0.1, 3)",
+    },
     "docs/control.md": {"steps=400": "steps=10"},
     "docs/identification.md": {
         "episodes=96": "episodes=4, steps=40, progress=False",
@@ -118,6 +132,18 @@ edmdc, split = LinearEDMDc(theta, alpha=1e-6).fit(d1), PIEDMDc(theta, alpha=1e-6
 from dataclasses import replace
 d1, test = replace(d1, outputs={"tip": (0,)}), replace(test, outputs={"tip": (0,)})
 edmdc, split = edmdc.fit(d1), split.fit(d1, d2)
+""",
+}
+#: What a block claims, by the page and a text of the block: checked after it has run.
+AFTER = {
+    ("docs/rod.md", "statics.sweep"): """
+assert path.success.all() and pinned.success
+assert found.success and np.allclose(found.equilibrium.tip[:2], (0.1, -0.05), atol=1e-7)
+""",
+    ("docs/rod.md", "arm.stepper"): """
+assert traj.success and low.frequency.shape == (4,)
+assert np.abs(account.imbalance).max() <= 1e-2 * np.abs(account.work["Tendons"]).max()
+assert one.d_input.shape == (27, 3) and lin.B.shape == (24, 3)
 """,
 }
 
@@ -143,10 +169,16 @@ def test_the_code_of_a_page_runs_as_printed(page: str, tmp_path: Path, monkeypat
         for text in BETWEEN:
             if text in code:
                 exec(BETWEEN[text], names)
+        claimed = "".join(AFTER[where, text] for where, text in AFTER if where == page and text in code)
         for long, short in SHORTER.get(page, {}).items():
             code = code.replace(long, short)
         exec(compile(code, page, "exec", dont_inherit=True), names)
+        exec(claimed, names)
     assert page not in ("README.md", "docs/front.md") or names["log"].u.shape == (20, 3)
+
+
+def test_every_claim_has_its_block() -> None:
+    assert all(sum(text in code for code in blocks(page)) == 1 for page, text in AFTER)
 
 
 @pytest.mark.parametrize("page", SHORTER)

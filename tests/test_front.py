@@ -26,7 +26,7 @@ def arm() -> ps.TendonArm:
         offset=0.01,
         angles_deg=(20, 110, 200, 290),
         tip_mass=0.01,
-        nodes=4,
+        nodes=3,
     )
 
 
@@ -79,7 +79,7 @@ def test_shapes_at_rest_calibrate_a_wrong_drawing(
         angles_deg=(20, 110, 200, 290),
         tip_mass=0.01,
         damping_ratio=0.08,
-        nodes=4,
+        nodes=3,
     )
     blind = ps.identify(d1, arm=wrong, candidates=["L-EDMDc", "PI-EDMDc, twin"], progress=False)
     (twin,) = [t for t in blind.report().tried if t.name == "PI-EDMDc, twin"]

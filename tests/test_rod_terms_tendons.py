@@ -120,7 +120,7 @@ def shooting_tip(route: rod.Helix | rod.Line, tension: float, backbone: rod.Rod)
 
     def end(wrench: np.ndarray) -> np.ndarray:
         start = np.concatenate([np.zeros(3), np.eye(3).ravel(), wrench])
-        return solve_ivp(fun, (0.0, LENGTH), start, rtol=1e-9, atol=1e-9).y[:, -1]
+        return solve_ivp(fun, (0.0, LENGTH), start, "DOP853", rtol=1e-9, atol=1e-9).y[:, -1]
 
     def miss(x: np.ndarray) -> np.ndarray:
         y = end(x * scale)
