@@ -188,6 +188,28 @@ def test_an_outlier_is_as_good_as_a_gap_until_it_is_no_outlier() -> None:
     assert sum(rejected[:11]) == 11 and rejected[11] == 0  # a dozen in a row: the model is wrong
 
 
+def test_what_is_off_in_all_entries_for_long_is_the_model_and_no_outlier() -> None:
+    model = fitted()
+    observer = KalmanFilter(model, np.diag(PROCESS**2), 0.02)
+    rng = np.random.default_rng(0)
+    level = 1.0
+    for _ in range(400):  # as expected: nothing changes
+        level = observer.level(level, observer.innovation_std * rng.standard_normal(3))
+    assert 0.5 < level < 1.5
+    one = observer.innovation_std * np.array([100.0, 0.5, -0.5])  # one sensor of three, once
+    assert observer.doubted(one, observer.level(level, one)).tolist() == [True, False, False]
+    for _ in range(40):
+        level = observer.level(level, 20.0 * observer.innovation_std * rng.standard_normal(3))
+    assert 10.0 < level < 30.0
+    assert not observer.doubted(20.0 * observer.innovation_std, level).any()
+    assert observer.level(level, np.full(3, np.nan)) == level
+    # In the loop: a model that is wrong by a quarter of its step is heard from the start of its errors on.
+    mpc, window = MPC(model, 10, -2.0, 2.0, 1.0, observer=observer), np.full((10, 1), 0.5)
+    states = [3.0 * np.sin(0.8 * k + np.arange(3.0)) for k in range(60)]
+    rejected = [mpc.step(x, window).rejected for x in states]
+    assert sum(rejected[:20]) > 0 and sum(rejected[20:]) == 0
+
+
 def test_a_copy_goes_on_to_the_last_bit() -> None:
     model = fitted()
     observer = KalmanFilter(model, np.diag(PROCESS**2), 0.02, "tip")

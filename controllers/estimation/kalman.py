@@ -16,6 +16,10 @@ from pisplit.lifted.model import LiftedModel
 DOUBLINGS, CONVERGED = 40, 1e-9
 #: Least noise of a measurement, in parts of the state's range: what is exact gets this.
 EXACT = 1e-6
+#: Mean of |x| over its standard deviation of a normal variable, and the part of a step in the mean size of innovations.
+MEAN_SIZE, NEWEST = 0.8, 0.125
+#: Times their mean size for which an innovation counts at most.
+CLIPPED = 3.0
 
 
 class KalmanFilter:
@@ -26,6 +30,10 @@ class KalmanFilter:
     not measured, or that lies more than ``gate`` of its standard deviations away, changes nothing (its innovation is
     set to zero), so that one gain serves all steps. Predictions of a bilinear or re-lifted model follow its own steps;
     its gain is that of the transition at the mean input of the training data, and at the mean state of a re-lifted one.
+
+    Innovations that are larger than expected in all entries, for several steps, are the model's error and no outliers:
+    the gate is so many times wider as their mean size of late, the ``level``, is above the expected one. Deaf to its
+    own error a filter goes on with a prediction, and the loop swings.
 
     Args:
         model: the model, linear in z, bilinear or re-lifted; or an estimator that was fitted.
@@ -101,12 +109,24 @@ class KalmanFilter:
         """y - C z - d (p,) of z = ``predicted`` (M,) and the state ``x`` (n,), NaN where it was not measured."""
         return np.asarray(x[self.measured] - self._C @ predicted - self._d)
 
-    def doubted(self, innovation: Array) -> NDArray[np.bool_]:
-        """Which entries (p,) of an ``innovation`` (p,) are too far away to be believed."""
+    def doubted(self, innovation: Array, level: float = 1.0) -> NDArray[np.bool_]:
+        """Which entries (p,) of an ``innovation`` (p,) are too far away to be believed at their ``level`` of late."""
         if self.gate is None:
             return np.zeros(len(innovation), dtype=bool)
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.abs(innovation) > self.gate * self.innovation_std)
+            return np.asarray(np.abs(innovation) > self.gate * max(1.0, level) * self.innovation_std)
+
+    def level(self, before: float, innovation: Array) -> float:
+        """Size of innovations of late in parts of the expected one, after the ``innovation`` (p,), ``before`` until it.
+
+        A mean over some eight steps of entries that were measured; one is 1 on average, and counts for no more than
+        three times the mean, so that it takes many steps or many entries to open the gate.
+        """
+        size = np.abs(innovation[~np.isnan(innovation)] / self.innovation_std[~np.isnan(innovation)])
+        if not len(size):
+            return before
+        seen = float(np.minimum(size, CLIPPED * max(1.0, before)).mean()) / MEAN_SIZE
+        return before + NEWEST * (seen - before)
 
     def corrected(self, predicted: Array, innovation: Array) -> Array:
         """z + L innovation (M,) of z = ``predicted`` (M,); NaN in the ``innovation`` (p,) counts as zero."""

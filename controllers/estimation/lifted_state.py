@@ -24,13 +24,14 @@ MEMORY = 3
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What a step began with: ``history``, ``disturbance``, ``readout`` and ``doubts`` as in :class:`EstimationState`,
-    what was ``measured`` (n,), and the input ``acting`` (m,) after it."""
+    """What a step began with: ``history``, ``disturbance``, ``readout``, ``doubts`` and ``level`` as in
+    :class:`EstimationState`, what was ``measured`` (n,), and the input ``acting`` (m,) after it."""
 
     history: History
     disturbance: EstimatorState
     readout: Array | None
     doubts: NDArray[np.int64]
+    level: float
     measured: Array
     acting: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -41,8 +42,8 @@ class EstimationState:
 
     ``history`` of delays, state of the ``disturbance`` estimator; ``readout`` (n,), what the read-out missed of the
     last measurement, None before it; steps ``blind`` since anything was measured; ``doubts`` (p,), steps for which the
-    observer rejected each of its entries; ``stuck``, what is known of sensors that repeat themselves, and the ``past``
-    steps that are forgotten where they do.
+    observer rejected each of its entries; ``level``, size of its innovations of late over what it expects; ``stuck``,
+    what is known of sensors that repeat themselves, and the ``past`` steps that are forgotten where they do.
     """
 
     history: History
@@ -50,6 +51,7 @@ class EstimationState:
     readout: Array | None
     blind: int
     doubts: NDArray[np.int64]
+    level: float
     stuck: StuckState | None
     past: tuple[Past, ...]
 
@@ -118,6 +120,7 @@ class LiftedStateEstimation:
         if self._stuck is not None:
             self._stuck.reset()
         self._past = deque(maxlen=0 if self._stuck is None else MEMORY * self._stuck.steps)
+        self.level = 1.0
         self._doubts = np.zeros(0 if self.observer is None else len(self.observer.measured), dtype=np.int64)
 
     def remember(self, states: Array, inputs: Array) -> None:
@@ -142,6 +145,7 @@ class LiftedStateEstimation:
             None if self.readout is None else self.readout.copy(),
             self.blind,
             self._doubts.copy(),
+            self.level,
             None if self._stuck is None else self._stuck.snapshot(),
             tuple(self._past),
         )
@@ -153,7 +157,7 @@ class LiftedStateEstimation:
         self._disturbance.restore(state.disturbance)
         self._history = copy.deepcopy(state.history)
         self.readout = None if state.readout is None else state.readout.copy()
-        self.blind, self._doubts = state.blind, state.doubts.copy()
+        self.blind, self._doubts, self.level = state.blind, state.doubts.copy(), state.level
         if self._stuck is not None and state.stuck is not None:
             self._stuck.restore(state.stuck)
             self._past = deque(state.past, self._past.maxlen)
@@ -213,7 +217,8 @@ class LiftedStateEstimation:
         again = list(self._past)[-samples:] if samples else []
         for k, past in enumerate(again):
             if k == 0:
-                self._history, self.readout, self._doubts = past.history.copy(), past.readout, past.doubts
+                self._history, self.readout = past.history.copy(), past.readout
+                self._doubts, self.level = past.doubts, past.level
                 self._disturbance.restore(past.disturbance)
             measured = np.where(stuck, np.nan, past.measured)
             kept = self._kept(measured)
@@ -226,14 +231,16 @@ class LiftedStateEstimation:
 
     def _kept(self, measured: Array) -> Past:
         """What this step begins with."""
-        return Past(self._history.copy(), self._disturbance.snapshot(), self.readout, self._doubts, measured)
+        w = self._disturbance.snapshot()
+        return Past(self._history.copy(), w, self.readout, self._doubts, self.level, measured)
 
     def _observed(self, measured: Array) -> tuple[Array | None, int]:
         """The lifted state (M,), None where nothing is known yet; how many entries of ``measured`` were rejected."""
         history, observer, predicted = self._history, self.observer, self._disturbance.predicted
         if observer is not None and predicted is not None and np.isfinite(predicted).all():
             innovation = observer.innovation(predicted, measured)
-            doubted = observer.doubted(innovation) & (self._doubts < PATIENCE)
+            doubted = observer.doubted(innovation, self.level) & (self._doubts < PATIENCE)
+            self.level = observer.level(self.level, innovation)
             self._doubts = np.where(doubted, self._doubts + 1, 0)
             self.readout = np.zeros(self.model.n_states)
             return observer.corrected(predicted, np.where(doubted, np.nan, innovation)), int(doubted.sum())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pisplit.checks import Array
+from pisplit.controllers.estimation.kalman import CLIPPED, MEAN_SIZE, NEWEST
 from pisplit.controllers.estimation.lifted_state import PATIENCE
 from pisplit.controllers.mpc.fallback import SLOWLY, THERE
 from pisplit.controllers.mpc.limits import SPAN_TOLERANCE
@@ -16,6 +17,9 @@ from pisplit.lifted.c_code import array, casadi_code, checked_name, listed, rena
 
 if TYPE_CHECKING:
     from pisplit.controllers.mpc.mpc import MPC
+
+#: A gate that rejects nothing.
+GREATEST = 1e300
 
 
 def c_step(mpc: MPC, name: str) -> str:
@@ -80,6 +84,10 @@ def _sizes(mpc: MPC) -> dict[str, Any]:
         "SCALE": float(mpc._problem.scale),
         "SPAN": float(SPAN_TOLERANCE * limits.amplitude.max()),
         "PATIENCE": PATIENCE,
+        "GATE": GREATEST if observer is None or observer.gate is None else observer.gate,
+        "CLIPPED": CLIPPED,
+        "NEWEST": NEWEST,
+        "MEAN_SIZE": MEAN_SIZE,
         "SLOWLY": SLOWLY,
         "THERE": THERE,
         "RESTS": int(mpc.steady.exists),
@@ -98,9 +106,9 @@ def _numbers(mpc: MPC) -> dict[str, Array]:
     output, gain, push = mpc.steady.affine() if mpc.steady.exists else (np.zeros(p), np.zeros((p, r)), np.zeros((p, M)))
     per_half = problem.T / limits.amplitude[:, None]
     rest_state, rest_slope = (np.zeros(M), np.zeros((M, m))) if resting is None else resting
-    kalman = gate = np.zeros(0)
+    kalman = usual = np.zeros(0)
     if observer is not None:
-        kalman, gate = observer.gain.T, (observer.gate or np.inf) * observer.innovation_std
+        kalman, usual = observer.gain.T, observer.innovation_std
     return {
         "B": model.B,
         "c": model.c,
@@ -125,7 +133,7 @@ def _numbers(mpc: MPC) -> dict[str, Array]:
         "basis": limits.basis,
         "normal": normal,
         "gain": kalman,
-        "gate": gate,
+        "usual": usual,
         "stay": STAY * per_half.T @ per_half,
         "rest_output": output,
         "rest_gain": gain,

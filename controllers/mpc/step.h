@@ -23,6 +23,7 @@ typedef struct {
   double line[(@N@_LATE + 2) * @N@_INPUTS];
   int measured, known, read, planned, referenced, blind, left, idle, missing, rejected, iterations;
   int doubts[@N@_SENSORS + 1];
+  double level;
   int factorised;
   unsigned char specified[@N@_STAGES * @N@_OUTPUTS];
   double K[@N@_MOVES * @N@_MOVES];
@@ -412,15 +413,23 @@ static int @n@_lifted(@n@_state *s) {
   s->rejected = 0;
   if (@N@_SENSORS && known) {
     for (int i = 0; i < @N@_LIFTED; ++i) s->z[i] = s->predicted[i];
+    double sizes = 0.0;
+    int seen = 0;
     for (int l = 0; l < @N@_SENSORS; ++l) {
       const int i = @n@_sensors[l];
       const double innovation = s->x[i] - @n@_read(i, s->predicted);
-      const int doubted = fabs(innovation) > @n@_gate[l] && s->doubts[l] < @N@_PATIENCE;
+      const double size = fabs(innovation) / @n@_usual[l];
+      const int doubted = size > @N@_GATE * fmax(1.0, s->level) && s->doubts[l] < @N@_PATIENCE;
+      if (!isnan(innovation)) {
+        sizes += fmin(size, @N@_CLIPPED * fmax(1.0, s->level));
+        ++seen;
+      }
       s->doubts[l] = doubted ? s->doubts[l] + 1 : 0;
       s->rejected += doubted;
       if (doubted || isnan(innovation)) continue;
       for (int j = 0; j < @N@_LIFTED; ++j) s->z[j] += @n@_gain[l * @N@_LIFTED + j] * innovation;
     }
+    if (seen) s->level += @N@_NEWEST * (sizes / seen / @N@_MEAN_SIZE - s->level);
     for (int i = 0; i < @N@_STATES; ++i) s->readout[i] = 0.0;
     s->read = 1;
     return 1;
@@ -461,6 +470,7 @@ static void @n@_reset(@n@_state *s, const double *u0) {
     for (int i = 0; i < @N@_INPUTS; ++i) s->line[k * @N@_INPUTS + i] = u0[i];
   for (int i = 0; i < @N@_INPUTS; ++i) s->commanded[i] = s->rest[i] = s->latest[i] = u0[i];
   for (int i = 0; i < @N@_SENSORS; ++i) s->doubts[i] = 0;
+  s->level = 1.0;
   for (int i = 0; i < @N@_MOVES; ++i) s->plan[i] = 0.0;
   s->measured = s->known = s->read = s->planned = s->referenced = s->blind = s->left = s->idle = 0;
   s->missing = s->rejected = s->iterations = s->factorised = 0;
