@@ -237,3 +237,21 @@ def test_filters_that_cannot_be_are_refused_in_one_line() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             make()
+
+
+def test_a_loop_says_once_and_within_half_a_second_that_its_model_does_not_carry_it() -> None:
+    data = recorded(1.0)
+    model = fitted(data=data)
+    observer = KalmanFilter.from_data(model, data, 0.02)
+    fine = loop(plants.NoisyMeasurements(Arm(1.0), 0.02, seed=4), observer, model)
+    assert not fine.notes
+
+    class Kicked(Arm):
+        def step(self, u: Array) -> PlantStep:
+            after = super().step(u)
+            self.x = self.x + 0.3 * np.cos(2.0 * u[0] + self.x)
+            return after
+
+    with pytest.warns(UserWarning, match="the model does not carry this motion"):
+        log = loop(plants.NoisyMeasurements(Kicked(1.0), 0.02, seed=4), observer, model)
+    assert len(log.notes) == 1 and float(log.notes[0].split()[2]) <= 15 * Arm.dt

@@ -232,6 +232,9 @@ class ClosedLoop:
                     state = self._wiring.measured(after.state)
                     problem = _fault(state, self.controller)
                 self._name_stuck(move, k * dt)
+                if getattr(move, "warning", ""):
+                    record.notes.append(f"t = {k * dt:.2f} s: {move.warning}")
+                    warnings.warn(record.notes[-1], stacklevel=3)
                 if problem:  # the input that broke the plant belongs to no completed step
                     record.message = _at(k, first + steps, dt) + f"the plant {problem}"
                     break

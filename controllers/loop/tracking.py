@@ -24,7 +24,8 @@ class Move:
     wall time of the whole step [s]; ``cpu_time``: CPU time of this thread in it [s]. ``predicted`` (H, p): outputs
     expected under the plan. ``missing``: entries of the measurement that were not there (NaN), for which the model's
     prediction stood; ``rejected``: those that an observer did not believe. ``stuck``: states whose sensors repeat
-    themselves while the arm must have moved; they count as missing.
+    themselves while the arm must have moved; they count as missing. ``warning``: what the controller has to say, empty
+    otherwise; loops note it.
     """
 
     u: Array
@@ -38,6 +39,7 @@ class Move:
     rejected: int = 0
     stuck: tuple[int, ...] = ()
     action: str = ""
+    warning: str = ""
 
 
 class Controller(Protocol):

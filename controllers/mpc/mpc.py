@@ -41,6 +41,8 @@ from pisplit.lifted.model import LiftedModel
 from pisplit.threads import one_blas_thread
 
 GAIN = 0.3  # of the disturbance estimate, where there is no delay
+#: Innovations, in parts of what the observer expects, that are too large, and steps in a row until that is said.
+LOUD, BORNE = 3.0, 8
 
 
 class MPC:
@@ -71,7 +73,8 @@ class MPC:
 
     ``observer``: a :class:`KalmanFilter` of the model, for measurements with noise or of some of the states only;
     without it the lifted state is that of the measurement. Its corrections drive the disturbance estimate, and entries
-    that it rejects are counted (``Move.rejected``).
+    that it rejects are counted (``Move.rejected``). Where they are three times as large as it expects for eight steps
+    in a row, ``Move.warning`` says so, once a run: the model does not carry what it is asked for, and may swing.
 
     ``command_delay``, ``measurement_delay``: known delays in steps, fractions allowed, between a command and its
     action and between a state and its measurement; the prediction starts where commands can still change something.
@@ -207,6 +210,7 @@ class MPC:
         self._commanded = np.array(start)
         self._wanted = None
         self._plan = None
+        self._loud = 0
 
     def limit(
         self, u_min: ArrayLike | None = None, u_max: ArrayLike | None = None, du_max: ArrayLike | None = None
@@ -289,6 +293,7 @@ class MPC:
             self._commanded.copy(),
             None if self._wanted is None else self._wanted.copy(),
             self._prediction.snapshot(),
+            self._loud,
         )
 
     def restore(self, state: MPCState) -> None:
@@ -304,6 +309,7 @@ class MPC:
         self._commanded = state.commanded.copy()
         self._wanted = None if state.wanted is None else state.wanted.copy()
         self._prediction.restore(state.prediction)
+        self._loud = state.loud
 
     @one_blas_thread()
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
@@ -365,6 +371,20 @@ class MPC:
             missing=found.missing,
             rejected=found.rejected,
             stuck=found.stuck,
+            warning=self._doubted(),
+        )
+
+    def _doubted(self) -> str:
+        """That innovations are too large, in words, when it is said for the first time; empty otherwise."""
+        level = self._estimation.level
+        if self._loud <= BORNE:
+            self._loud = self._loud + 1 if level > LOUD else 0
+        if self._loud != BORNE:
+            return ""
+        self._loud = BORNE + 1
+        return (
+            f"innovations are {level:.2g} times as large as the observer expects: the model does not carry this "
+            "motion, or an unknown load acts; a larger rate_weight or a smaller estimator_gain is safer"
         )
 
     def _at_rest(self, r: Array, z: Array | None) -> Array | None:

@@ -17,7 +17,8 @@ class MPCState:
 
     States of ``estimation``, ``problem`` and ``fallback``; last ``plan`` (None before the first); ``line`` of commands
     on their way, the last of them ``commanded`` (m,); the reference ``wanted`` (p,) now, None at first; derivatives
-    along the last plan of the ``prediction``, None where each move takes its own.
+    along the last plan of the ``prediction``, None where each move takes its own; ``loud`` steps in which innovations
+    have been too large by now, beyond those that are borne once that was said.
     """
 
     estimation: EstimationState
@@ -28,3 +29,4 @@ class MPCState:
     commanded: Array
     wanted: Array | None
     prediction: Any = None
+    loud: int = 0
