@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
 
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.answers import finite_answer
@@ -107,6 +106,8 @@ def stability(scene: Scene, state: Array) -> Stability:
     found = scene.__dict__["_stiffness"](strains, inputs)
     tangent, elastic = (finite_answer(np.asarray(k), "stiffnesses") for k in found)
     symmetric, skew = 0.5 * (tangent + tangent.T), 0.5 * (tangent - tangent.T)
+    from scipy.linalg import eigh  # slow to load, and of no use to an equilibrium alone
+
     values, modes = eigh(symmetric, elastic, subset_by_index=[0, 0])
     mode = modes[:, 0] / modes[np.abs(modes[:, 0]).argmax(), 0]
     return Stability(float(values[0]), mode, float(np.linalg.norm(skew) / np.linalg.norm(symmetric)))

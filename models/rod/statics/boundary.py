@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
 
 from pisplit.brief import brief
 from pisplit.checks import Array, finite_array
@@ -230,6 +229,8 @@ class FixedTip(Rebuilt):
         basis = self.judge.basis(free_of)
         loss = (free_of - under)[:n, :n]
         resists = free_of[:n, :n] + NEUTRAL * np.eye(n)  # a rod between two ball joints turns about its axis
+        from scipy.linalg import eigh  # slow to load
+
         vectors = eigh(*(basis.T @ (0.5 * (k + k.T)) @ basis for k in (loss, resists)))[1]
         mode = basis @ vectors[:, -1]
         shortening = float(mode @ loss @ mode) / 2.0

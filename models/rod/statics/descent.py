@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dpotrf
 
 from pisplit.checks import Array
 from pisplit.models.rod.statics.whitened import Way
@@ -71,11 +70,15 @@ def definite(stiffness: Array, shift: float) -> bool:
     """Whether the symmetric part of ``stiffness`` (n, n), with ``shift`` added, is positive definite."""
     lower = 0.5 * (stiffness + stiffness.T)
     lower.flat[:: len(lower) + 1] += shift
+    from scipy.linalg.lapack import dpotrf  # slow to load, for descents alone
+
     return bool(dpotrf(lower, lower=1, clean=0)[1] == 0)
 
 
 def solved(stiffness: Array, force: Array) -> Array:
     """The deformation (n,) that balances ``force`` (n,); the least one where ``stiffness`` (n, n) is singular."""
+    from scipy.linalg.lapack import dgesv  # slow to load, for descents alone
+
     _, _, found, info = dgesv(stiffness, force)
     if info == 0:
         return np.asarray(found)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from tqdm import tqdm
 
 from pisplit.checks import Array, finite_array, real_array
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
@@ -166,7 +167,7 @@ class Statics(Rebuilt):
         """Equilibria (N) under rows of inputs, from states ``near`` (N, n_states), or each from the one before it."""
         found: list[Equilibrium] = []
         last: Array | None = None
-        for k, u in enumerate(tqdm(rows, disable=not progress, desc="equilibria", unit="row")):
+        for k, u in enumerate(_bar(rows, disable=not progress, desc="equilibria", unit="row")):
             found.append(self.solve(u, last if near is None else near[k]))
             last = found[-1].state if follow and found[-1].success else last
         return EquilibriumBatch(
@@ -221,14 +222,14 @@ class Statics(Rebuilt):
             strains, *_, before = scene.layout.split(states)
             guess = search.scaled(strains)
             resting = search.worst_of_rows(guess, before) <= RESTING
-        for start in tqdm(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
+        for start in _bar(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
             block = rows[start : start + chunk]
             x = np.asarray(search.of_rows(len(block), mild)(guess[start : start + chunk].T, block.T)).T
             found[start : start + len(block)] = x
             worst[start : start + len(block)] = search.worst_of_rows(x, block)
         branch, factor, zero = np.full(len(rows), "unique", dtype=object), np.ones(len(rows)), np.zeros(scene.n_strains)
         open_rows = np.flatnonzero(worst > TOLERANCE) if mild else np.arange(len(rows))
-        for k in tqdm(open_rows, disable=not progress or mild, desc="branches", unit="row"):
+        for k in _bar(open_rows, disable=not progress or mild, desc="branches", unit="row"):
             x, u = found[k].copy(), rows[k]
             if resting[k]:
                 verdict = self.branches.of_state(x, u, guess[k], before[k], worst[k] <= TOLERANCE)
@@ -459,3 +460,11 @@ class Statics(Rebuilt):
                 f"or {self.scene.n_strains} (strains)"
             )
         return self.search.scaled(finite_array(values[: self.scene.n_strains], "guess", (None,)))
+
+
+def _bar(items: Iterable[Any], **options: Any) -> Iterable[Any]:
+    """``items`` with a bar of progress."""
+    from tqdm import tqdm  # slow to load, and of no use to a single equilibrium
+
+    bar: Iterable[Any] = tqdm(items, **options)
+    return bar
