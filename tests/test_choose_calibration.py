@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pisplit import Actuator, Episodes
+from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.recording import labels, random_differential
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration import choose_calibration
 from pisplit.models.calibration.choice import compared, worth
 from pisplit.models.calibration.choosing import over_disks
-from pisplit.models.calibration.judging import doubts
+from pisplit.models.calibration.judging import HeldOut
+from pisplit.models.calibration.model import ParametrisedArm
+from pisplit.models.calibration.motion import Motion
 from pisplit.models.calibration.windows import Windows, stretches
 
 DT, STATIONS = 0.03, 4
@@ -62,12 +67,64 @@ def test_the_form_is_chosen_by_roll_outs(arm: TendonArm) -> None:
     along, over = found.tried
     assert along.error > 10.0 * over.error
     assert found.doubts == ()
-    held, parts = d1[-1:], stretches(d1[-1:], 4)
-    assert along.calibration is not None
-    said = doubts(along.calibration, held, parts, along.errors, (2e-4, 4e-3, 0.05))
+    held, wrong = HeldOut(d1[-1:], stretches(d1[-1:], 4)), along.calibration
+    assert wrong is not None
+    model = ParametrisedArm(arm, wrong.parameters, ("tendons",))
+    ahead = held.rollouts(model, wrong)
+    np.testing.assert_allclose(ahead.errors, along.errors, rtol=1e-4)
+    said = held.doubts(model, wrong, ahead, (2e-4, 4e-3, 0.05))
     assert len(said) == 1 and "the form is wrong" in said[0]
     assert over.name in found.report() and along.name in found.report()
     assert found.plot().axes
+
+
+def test_roll_outs_of_candidates_are_those_of_the_predictor(arm: TendonArm) -> None:
+    model = ParametrisedArm(arm, None, ("tendons", "friction"))
+    values = tuple(model.start.tolist())
+    found = model.result(model.first, 0.0, 1, np.eye(len(model.first)), 0.0)
+    assert found.arm.tendons.values == values  # type: ignore[attr-defined]
+    data = recorded(arm, Actuator(lag=0.02), 1, 10, 5)
+    held, predictor = HeldOut(data, [(0, 4, 10)]), ArmPredictor(found.arm, DT, STATIONS, Actuator(lag=0.02))
+    ahead = held.rollouts(model, replace(found, actuator=Actuator(lag=0.02)))
+    x, u = data.xs[0], data.us[0]
+    told = predictor.predict(x[4], u[4:], np.vstack([arm.rest_inputs, u[:4]]))
+    np.testing.assert_allclose(ahead.points[0], told[1:, predictor.outputs["shape"]], atol=3e-4)
+    again = held.rollouts(model, replace(found, actuator=Actuator(lag=0.02)), ahead)  # from known steps: the same
+    np.testing.assert_allclose(again.points[0], ahead.points[0], atol=1e-8)
+
+
+def test_steps_looked_for_nearby_are_the_same_and_so_are_their_derivatives(arm: TendonArm) -> None:
+    model = ParametrisedArm(over_disks(arm, 2), None, ("tendons", "bending", "friction", "lag"), Actuator(lag=0.02))
+    data = recorded(arm, Actuator(), 1, 6, 4)
+    seen = model.sight(STATIONS)
+    logs = [np.vstack([arm.rest_inputs, data.us[0]])]
+    errors = np.full(len(seen.rows), 1e-2)
+    motion = Motion(model, seen, DT, data.xs[0][None][..., seen.rows], logs, errors, 1e-4)
+    x, first = model.first.copy(), np.concatenate([seen.state(data.xs[0][0]), np.zeros(3)])
+    x[-3] = 1.0  # friction, of disks
+    found = motion.simulated(x, first, 0)
+    assert found is not None
+    of_state, of_parameters, near = motion.linearised(found, len(x), 0)
+    rng = np.random.default_rng(0)
+    way = np.concatenate([np.tile(model.scene.nominal_strains, 2), np.full(3, 1e-3), np.ones(len(x))])
+    way *= rng.normal(size=len(way))
+    step = 1e-4
+    ends = [
+        motion.simulated(x + s * step * way[len(first) :], first + s * step * way[: len(first)], 0) for s in (1.0, -1.0)
+    ]
+    assert ends[0] is not None and ends[1] is not None
+    slope = (ends[0].misses - ends[1].misses) / (2.0 * step)
+    told = np.hstack([of_state, of_parameters]) @ way
+    np.testing.assert_allclose(told, slope, atol=2e-4 * np.abs(slope).max())
+    hinted = motion.simulated(x + step * way[len(first) :], first + step * way[: len(first)], 0, near)
+    assert hinted is not None
+    np.testing.assert_allclose(hinted.misses, ends[0].misses, atol=1e-5)
+    apart = max(
+        np.abs(hint.z - piece.z).max() / np.abs(piece.z).max()
+        for hints, pieces in zip(near.hints(hinted.point), hinted.intervals, strict=True)
+        for hint, piece in zip(hints, pieces, strict=True)
+    )
+    assert apart < 1e-3  # to first order
 
 
 def test_a_lag_is_kept_where_it_is_and_a_load_is_not_where_it_is_not(arm: TendonArm) -> None:

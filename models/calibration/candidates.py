@@ -16,10 +16,10 @@ from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.choice import TriedCalibration, compared, worth
 from pisplit.models.calibration.estimates import Estimate
-from pisplit.models.calibration.judging import rollouts
-from pisplit.models.calibration.model import Calibration, CalibrationError
+from pisplit.models.calibration.evidence import Evidence
+from pisplit.models.calibration.judging import Ahead, HeldOut
+from pisplit.models.calibration.model import Calibration, CalibrationError, ParametrisedArm
 from pisplit.models.calibration.parameters import TendonParameters
-from pisplit.models.calibration.recordings import calibrate_from_recordings
 from pisplit.models.calibration.windows import Windows, stretches
 from pisplit.models.rod.analysis.fields import N_FIELDS
 
@@ -58,6 +58,7 @@ class Candidates:
         bar: of progress.
         tried: all candidates so far.
         arms: their forms.
+        ahead_of: roll-outs of those that have a calibration.
     """
 
     recordings: Episodes
@@ -74,15 +75,24 @@ class Candidates:
     bar: tqdm[None]
     tried: list[TriedCalibration] = field(default_factory=list)
     arms: list[TendonArm] = field(default_factory=list)
+    ahead_of: dict[int, Ahead] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.stations = self.windows.fields.shape[2] // N_FIELDS
-        self.held = stretches(self.held_out, self.ahead)
+        self.held = HeldOut(self.held_out, stretches(self.held_out, self.ahead))
+        shapes, windows = self.shapes, self.windows
+        rest = None if shapes is None else (shapes.inputs, shapes.fields)
+        logs, dt = list(windows.logs), self.recordings.dt
+        self.evidence = Evidence(windows.fields, logs, dt, *self.errors, self.stations, rest, self.late)
+        self.models: dict[int, ParametrisedArm] = {}
         points = 3 * (self.stations - 1)
         self.floor = points * (EQUAL * self.errors[0]) ** 2
 
     def best_form(self, forms: Sequence[TendonArm]) -> int:
-        """Number of the best candidate with none or all of the groups, of any of the ``forms``."""
+        """Number of the best candidate with none or all of the groups, of any of the ``forms``.
+
+        They are fitted roughly, the best of them to the end.
+        """
         best = -1
         for arm in forms:
             mine = self.fitted(arm, (), -1)
@@ -94,6 +104,24 @@ class Candidates:
                     mine = self.grown(arm, mine)
             if best < 0 or worth(*self.gain(mine, best)):
                 best = mine
+        return self.finished(best)
+
+    def finished(self, best: int) -> int:
+        """The rough candidate ``best``, fitted to the end in its place."""
+        if self.tried[best].calibration is not None:
+            self.fitted(self.arms[best], self.optional(best), best, False)
+            done = self.tried.pop()
+            self.arms.pop()
+            self.ahead_of[best] = self.ahead_of.pop(len(self.tried), self.ahead_of[best])
+            before = self.tried[best]
+            gain, spread = (
+                (np.nan, np.nan)
+                if before.other < 0
+                else compared(done.errors, self.tried[before.other].errors, self.floor)
+            )
+            self.tried[best] = replace(
+                done, gain=gain, spread=spread, other=before.other, seconds=done.seconds + before.seconds
+            )
         return best
 
     def grown(self, arm: TendonArm, best: int) -> int:
@@ -111,7 +139,7 @@ class Candidates:
             weak = [g for g in kept if size[g] < SIGNIFICANT]
             least = min(kept, key=lambda g: size[g])
             for out in ([weak] if len(weak) > 1 else []) + [[least]]:
-                less = self.fitted(self.arms[best], [g for g in kept if g not in out], best)
+                less = self.fitted(self.arms[best], [g for g in kept if g not in out], best, False)
                 if not worth(*self.gain(best, less)):
                     break
             else:
@@ -133,18 +161,24 @@ class Candidates:
         assert found is not None  # a candidate without one is never kept
         return {g: _away(found.estimates, g, self.start, self.told) for g in self.optional(number)}
 
-    def fitted(self, arm: TendonArm, extra: Sequence[str], origin: int) -> int:
-        """Number of the candidate of the form ``arm`` with ``extra`` groups, fitted from the result of ``origin``."""
+    def fitted(self, arm: TendonArm, extra: Sequence[str], origin: int, rough: bool = True) -> int:
+        """Number of the candidate of the form ``arm`` with ``extra`` groups, fitted from the result of ``origin``.
+
+        ``rough``: not to the last digit.
+        """
         begin = time.process_time()
         found = None if origin < 0 else self.tried[origin].calibration
         first = self.start if found is None else found.parameters
         servo = self.told if found is None else found.actuator
         before = () if origin < 0 else self.optional(origin)
         first, servo = self.guess(first, servo, tuple(extra), before)
-        calibration, note = self.calibrated(arm, (*ALWAYS, *extra), first, servo)
-        errors = np.full(len(self.held), np.inf)
+        model = self.model(arm, first, (*ALWAYS, *extra), servo)
+        restart = found is not None and self.arms[origin] is arm and set(extra) <= set(before)
+        calibration, note = self.calibrated(model, restart, rough)
+        errors = np.full(len(self.held.parts), np.inf)
         if calibration is not None:
-            errors = rollouts(calibration, self.held_out, self.held)
+            ahead = self.held.rollouts(model, calibration, self.ahead_of.get(origin) if restart else None)
+            errors, self.ahead_of[len(self.tried)] = ahead.errors, ahead
         gain = spread = np.nan
         if origin >= 0:
             gain, spread = compared(errors, self.tried[origin].errors, self.floor)
@@ -158,6 +192,19 @@ class Candidates:
         self.arms.append(arm)
         self.bar.update()
         return len(self.tried) - 1
+
+    def model(self, arm: TendonArm, first: TendonParameters, free: tuple[str, ...], servo: Actuator) -> ParametrisedArm:
+        """The form ``arm`` with the groups ``free``, ``first`` guess and ``servo``: one scene serves all groups."""
+        if id(arm) not in self.models:
+            self.models[id(arm)] = ParametrisedArm(arm, first, (*ALWAYS, *self.groups), servo)
+        return ParametrisedArm(arm, first, free, servo, like=self.models[id(arm)])
+
+    def doubts(self, number: int) -> tuple[str, ...]:
+        """Why the form of the candidate of this ``number`` may be wrong."""
+        found = self.tried[number].calibration
+        assert found is not None  # a candidate without one is never chosen
+        model = self.model(self.arms[number], found.parameters, self.tried[number].free, found.actuator)
+        return self.held.doubts(model, found, self.ahead_of[number], self.errors)
 
     def guess(
         self, first: TendonParameters, servo: Actuator, extra: tuple[str, ...], before: tuple[str, ...]
@@ -184,30 +231,12 @@ class Candidates:
             first = replace(first, shift=start.shift)
         return first, servo
 
-    def calibrated(
-        self, arm: TendonArm, free: tuple[str, ...], start: TendonParameters, servo: Actuator
-    ) -> tuple[Calibration | None, str]:
-        """The fit of an ``arm`` with the groups ``free`` from ``start`` and ``servo``, and what went wrong with it."""
-        position, rotation, rate = self.errors
-        shapes = self.shapes
+    def calibrated(self, model: ParametrisedArm, restart: bool, rough: bool) -> tuple[Calibration | None, str]:
+        """The fit of a ``model`` and what went wrong with it; ``restart`` and ``rough`` as ``Evidence`` takes them."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of motions under parameters that are given up again
             try:
-                found = calibrate_from_recordings(
-                    arm,
-                    self.windows.fields,
-                    self.windows.logs,
-                    self.recordings.dt,
-                    position_error=position,
-                    rotation_error=rotation,
-                    rate_error=rate,
-                    stations=self.stations,
-                    free=free,
-                    start=start,
-                    equilibria=None if shapes is None else (shapes.inputs, shapes.fields),
-                    input_error=self.late,
-                    actuator=servo,
-                )
+                found = self.evidence.calibrated(model, restart, rough)
             except CalibrationError as error:
                 return error.calibration, str(error)
             except (RuntimeError, np.linalg.LinAlgError) as error:

@@ -17,7 +17,6 @@ from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.candidates import LATE, OPTIONAL, PLAY, Candidates
 from pisplit.models.calibration.choice import CalibrationChoice
-from pisplit.models.calibration.judging import doubts
 from pisplit.models.calibration.model import nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.windows import Windows
@@ -46,10 +45,12 @@ def choose_calibration(
     """The calibration that predicts held-out recordings best: form of the tendons and groups of free parameters.
 
     Of every form two candidates are fitted (:func:`calibrate_from_recordings`): tendons, stiffness and damping alone,
-    and, started from there, with all ``groups`` too. The form is that of the best of them. Groups are then left out
-    again, the least significant first, each fit started from the richer one. Everywhere a richer candidate is kept only
-    where its roll-outs are better by more than the standard error of the mean gain, and by 5 %. A fit that fails is a
-    candidate that predicts badly, or none; where the one with all groups does, they are tried one by one.
+    and, started from there, with all ``groups`` too. The form is that of the best of them; these fits are rough, that
+    of the best goes on to the end. Groups are then left out again, the least significant first, each fit started from
+    the richer one. One scene with the parameters as inputs serves all candidates of a form, for fits and roll-outs.
+    Everywhere a richer candidate is kept only where its roll-outs are better by more than the standard error of the
+    mean gain, and by 5 %. A fit that fails is a candidate that predicts badly, or none; where the one with all groups
+    does, they are tried one by one.
 
     Args:
         arm: the arm as drawn.
@@ -127,8 +128,8 @@ def choose_calibration(
         recordings.dt,
         fits.stations,
         (len(fits.windows), fits.windows.steps),
-        (len(fits.held), fits.ahead),
-        doubts(chosen.calibration, held_out, fits.held, chosen.errors, fits.errors),
+        (len(fits.held.parts), fits.ahead),
+        fits.doubts(best),
     )
 
 

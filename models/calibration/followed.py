@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pisplit.checks import Array
-from pisplit.models.calibration.model import ParametrisedArm
+from pisplit.models.rod import Scene
 from pisplit.models.rod.statics.search import TOLERANCE
 
 #: Newton steps from a known shape to that of other parameters, and the largest of them in scaled strains.
@@ -20,13 +20,13 @@ class FollowedShapes:
     parameters are moved slowly from the last shape to the new one (``Branches.of_state``).
 
     Args:
-        model: the arm with its free parameters.
+        scene: the arm, with its parameters as inputs.
         number: of shapes.
     """
 
-    def __init__(self, model: ParametrisedArm, number: int) -> None:
-        self.model = model
-        self.search, self.branches = model.scene.statics().search, model.scene.statics().branches
+    def __init__(self, scene: Scene, number: int) -> None:
+        self.scene = scene
+        self.search, self.branches = scene.statics().search, scene.statics().branches
         self._known: list[tuple[Array, Array] | None] = [None] * number
 
     def solved(self, i: int, w: Array) -> tuple[Array, Array] | None:
@@ -39,14 +39,14 @@ class FollowedShapes:
             return None
         self._known[i] = shape, w.copy()
         of_x, of_u = (np.asarray(v) for v in self.search.slopes(shape, w))
-        slope = -np.asarray(self.model.scene.nominal_strains)[:, None] * np.linalg.solve(of_x, of_u)
+        slope = -np.asarray(self.scene.nominal_strains)[:, None] * np.linalg.solve(of_x, of_u)
         return np.asarray(self.search.strains(shape)), slope
 
     def _shape(self, i: int, w: Array) -> Array | None:
         """Scaled strains (n,) of shape ``i`` under inputs ``w`` (n_inputs,); None where there is none to be found."""
         search, branches, known = self.search, self.branches, self._known[i]
         if known is None:
-            found, _, _ = search.find(w, np.zeros(self.model.scene.n_strains), branches.unique(w))
+            found, _, _ = search.find(w, np.zeros(self.scene.n_strains), branches.unique(w))
             verdict = branches.of_root(found, w, search.worst(found, w) <= TOLERANCE)
         else:
             start, before = known

@@ -13,14 +13,19 @@ from pisplit.brief import brief
 from pisplit.checks import Array, positive
 from pisplit.data.actuator import Actuator
 from pisplit.models.arm.motion_capture import MotionCapture
+from pisplit.models.arm.sight import MEASURED, Sight
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration.estimates import Estimate, estimates
+from pisplit.models.calibration.followed import FollowedShapes
 from pisplit.models.calibration.parameters import REFERENCE_MASS, REFERENCE_SPEED, TendonParameters
 from pisplit.models.calibration.parametrised import PARAMETERS, CalibratedTendons
 from pisplit.models.rod import Displacement, KelvinVoigt, PointMass, Scene, Tendons
+from pisplit.models.rod.dynamics.exact import ExactCollocation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from pisplit.models.rod.dynamics.fast import FastStepper
 
 #: What can be identified: parallel tendons; factors of the backbone's stiffness and damping; the routing, by how much
 #: every tendon's point at the tip differs from that at the base; a mass at the tip; friction of the tendons.
@@ -161,6 +166,8 @@ class ParametrisedArm:
         free: parts of ``GROUPS``, of ``SERVO`` too with a ``servo``.
         servo: first guess of what stands between commands and displacements.
         capture: markers, where these are all that is measured; their pose may be free.
+        like: one of the same arm, whose functions serve this one too; where it rubs and this one does not, they are
+            evaluated without friction.
     """
 
     def __init__(
@@ -170,6 +177,7 @@ class ParametrisedArm:
         free: Sequence[str],
         servo: Actuator | None = None,
         capture: MotionCapture | None = None,
+        like: ParametrisedArm | None = None,
     ) -> None:
         known = GROUPS if servo is None else (*GROUPS, *SERVO)
         unknown = [name for name in free if name not in known]
@@ -181,7 +189,8 @@ class ParametrisedArm:
         if self.m != arm.scene.n_inputs:
             raise ValueError(f"start has {self.m} tendons; the arm has {arm.scene.n_inputs} inputs")
         self.name = arm.tendons.name
-        self.radius = positive(np.hypot(*first.offset.T).mean(), "mean distance of the tendons from the axis", "m")
+        distance = positive(np.hypot(*first.offset.T).mean(), "mean distance of the tendons from the axis", "m")
+        self.radius: float = distance if like is None else like.radius
         self.start = first.vector(self.radius)
         m = self.m
         parts = {
@@ -214,8 +223,36 @@ class ParametrisedArm:
         self.low = np.concatenate([low[self.free], np.zeros(len(told)), np.full(self.n_pose, -np.inf)])
         self.servo = servo
         self.rubs = "friction" in free or first.friction > 0.0
-        self.scene = self._scene(None)
+        self._steppers: dict[tuple[float, float, int], FastStepper] = {} if like is None else like._steppers
+        self._sights: dict[tuple[int, tuple[str, ...]], Sight] = {} if like is None else like._sights
+        self._shapes: dict[int, FollowedShapes] = {} if like is None else like._shapes
+        self.scene: Scene = self._scene(None) if like is None else like.scene
         self.slots = {"moves": np.arange(m), PARAMETERS: np.arange(m, m + len(self.start))}
+
+    def stepper(self, dt: float, step: float, stages: int) -> FastStepper:
+        """Motion over steps of ``dt`` in s by internal ones of ``step`` and so many ``stages``: made once."""
+        key = (dt, step, stages)
+        if key not in self._steppers:
+            made = self.scene.fast_stepper(dt, step=step, stages=stages)
+            same = [known for (_, _, other), known in self._steppers.items() if other == stages]
+            # the functions of a step do not depend on its length
+            scheme = same[0].collocation if same else ExactCollocation(made.equations, stages, "radau")
+            made.__dict__["collocation"] = scheme
+            self._steppers[key] = made
+        return self._steppers[key]
+
+    def shapes(self, number: int) -> FollowedShapes:
+        """A ``number`` of shapes at rest, which follow the parameters: made once."""
+        if number not in self._shapes:
+            self._shapes[number] = FollowedShapes(self.scene, number)
+        return self._shapes[number]
+
+    def sight(self, stations: int, names: Sequence[str] = MEASURED) -> Sight:
+        """What sensors at so many ``stations`` see of the quantities ``names``: made once."""
+        key = (stations, tuple(names))
+        if key not in self._sights:
+            self._sights[key] = Sight(self.scene, stations, names)
+        return self._sights[key]
 
     def starts(self) -> list[Array]:
         """First guesses: tendons that are slack push nothing and leave a fit in the lurch, so several are tried."""

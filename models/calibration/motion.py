@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,14 +16,63 @@ from pisplit.models.arm.sight import Sight
 from pisplit.models.calibration.followed import FollowedShapes
 from pisplit.models.calibration.model import ParametrisedArm
 from pisplit.models.calibration.parametrised import PARAMETERS
+from pisplit.models.rod.dynamics.march import Hint, March, Piece
 
 #: Internal steps of the integrator in s, and their Radau stages: the error stays far below that of measurements, and
 #: friction that turns round is damped.
 STEP, STAGES = 0.015, 2
 #: The same for markers, whose noise of tenths of a millimetre shows where a step was halved.
 FINE_STEP, FINE_STAGES = 0.02, 3
+#: Corrections of strains, in parts of typical ones, that end the iterations of a step: far below any sensor.
+TOLERANCE = 1e-8
+#: Contraction of the iterations of a step beyond which a new matrix is cheaper.
+SLOW = 0.5
 #: Change of lag and play, in their typical sizes, by which commands are differentiated.
 NUDGE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A recording as it was simulated, and what its derivatives are made of.
+
+    Attributes:
+        point: initial state and offsets, free parameters (2n + offsets + P,).
+        misses: (K T+K,) in standard deviations, those of the initial state and of offsets beside them.
+        intervals: steps of the integrator between the instants.
+        seen: columns, their derivatives in the state and in the pose at every instant (``Sight.look``).
+        of_servo: derivatives (T+1, m, Q) of the displacements in the free servo parameters.
+        of_rest: those (n, Q + P) of the shape at rest that the initial state is told from; empty where it is not.
+    """
+
+    point: Array
+    misses: Array
+    intervals: tuple[list[Piece], ...]
+    seen: tuple[tuple[Array, Array, Array], ...]
+    of_servo: Array
+    of_rest: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Nearby:
+    """A recording as it was simulated, ``found``, and the derivatives of every step of it in its ``point``.
+
+    ``of_steps``: of the accelerations (s, n, 2n + offsets + P) of each step between the instants, and the inverse of
+    its matrix.
+    """
+
+    found: Simulated
+    of_steps: tuple[list[tuple[Array, Array]], ...]
+
+    def hints(self, point: Array) -> list[list[Hint]]:
+        """What to expect of every step from another ``point``, to first order."""
+        change = point - self.found.point
+        return [
+            [
+                Hint(piece.z + (d_z @ change).T, piece.h, inverse)
+                for piece, (d_z, inverse) in zip(pieces, slopes, strict=True)
+            ]
+            for pieces, slopes in zip(self.found.intervals, self.of_steps, strict=True)
+        ]
 
 
 class Motion:
@@ -55,8 +105,8 @@ class Motion:
         self.n_offsets = model.m if input_error > 0.0 else 0
         self.measured, self.logs, self.dt = measured, logs, positive(dt, "dt", "s")
         step, stages = (STEP, STAGES) if energy is None else (FINE_STEP, FINE_STAGES)
-        self.stepper = model.scene.fast_stepper(self.dt, step=step, stages=stages)
-        self.energy, self._followed = energy, FollowedShapes(model, len(measured))
+        self.stepper = model.stepper(self.dt, step, stages)
+        self.energy, self._followed = energy, FollowedShapes(model.scene, len(measured))
         self.roots: dict[int, Array] = {}
 
     def resting(self, x: Array, first: Array, i: int) -> tuple[Array, Array] | None:
@@ -160,48 +210,72 @@ class Motion:
             slopes[..., k] = (model.actuator(ahead).simulate(log, self.dt)[0][-kept:] - found) / NUDGE
         return found, slopes
 
-    def linearised(self, x: Array, first: Array, i: int) -> tuple[Array, Array, Array] | None:
-        """Misses (K T+K,) of recording ``i`` in standard deviations, and their derivatives in initial state and offsets
-        of the displacements, ``first`` (2n + offsets,), and in free parameters ``x`` (P,); None where it fails."""
+    def simulated(self, x: Array, first: Array, i: int, near: Nearby | None = None) -> Simulated | None:
+        """Recording ``i`` from its initial state and offsets of the displacements, ``first`` (2n + offsets,), under
+        free parameters ``x`` (P,), looked for from one ``near``; None where the motion fails."""
         model, n = self.model, 2 * self.model.scene.n_strains
-        own, offset, moves = n + self.n_offsets, first[n:], model.slots["moves"]
-        y, (u, of_servo), pose = self.measured[i], self.served(x, i), model.pose(x)
+        moves, (u, of_servo), pose = model.slots["moves"], self.served(x, i), model.pose(x)
         w = np.zeros((len(u), model.scene.n_inputs))
-        w[:, moves] = u + (offset if self.n_offsets else 0.0)
+        w[:, moves] = u + (first[n:] if self.n_offsets else 0.0)
         w[:, model.slots[PARAMETERS]] = model.full(x)
-        constant = np.concatenate([moves[: self.n_offsets], model.slots[PARAMETERS][model.free]])  # offsets are, too
-        servo = slice(n + len(constant), n + len(constant) + of_servo.shape[2])
-        state, slope = np.concatenate([first[:n], w[0]]), np.zeros((n, own + len(x)))
-        slope[:, :n] = np.eye(n)
-        misses, slopes = [], []
+        state, rest, of_rest = first[:n].copy(), [], np.zeros((0, 0))
         if self.energy is not None:
-            rest = self.resting(x, first, i)
-            if rest is None:
+            found = self.resting(x, first, i)
+            if found is None:
                 return None
-            strains, of_rest = rest
+            strains, of_rest = found
             state[: n // 2] += strains
-            slope[: n // 2, n:] = of_rest
-            misses.append(self.roots[i] @ first[:n])
-            slopes.append(np.hstack([self.roots[i], np.zeros((n, slope.shape[1] - n))]))
-        for k in range(len(y)):
+            rest = [self.roots[i] @ first[:n]]
+        hints = None if near is None else near.hints(np.concatenate([first, x]))
+        march, intervals, seen = March(self.stepper.collocation, TOLERANCE, SLOW), [], []
+        for k, y in enumerate(self.measured[i]):
             if k:
                 try:
-                    step = self.stepper.sensitivity(state, w[k])
+                    known = hints[k - 1] if hints else ()
+                    pieces = march.interval(state, w[k - 1], w[k], self.dt, self.stepper.substeps, known)
                 except RuntimeError:
                     return None
-                slope = step.d_state[:n, :n] @ slope
-                slope[:, n : servo.start] += step.d_state[:n, n + constant] + step.d_input[:n, constant]
-                slope[:, servo] += step.d_state[:n, n + moves] @ of_servo[k - 1] + step.d_input[:n, moves] @ of_servo[k]
-                state = step.x
-            entries, jacobian, of_pose = self.seen.look(state[:n], pose)
-            weights = np.isfinite(y[k]) / self.errors
-            misses.append(np.where(weights > 0.0, entries - y[k], 0.0) * weights)
+                intervals.append(pieces)
+                state = pieces[-1].end
+            seen.append(self.seen.look(state[:n], pose))
+            weights = np.isfinite(y) / self.errors
+            rest.append(np.where(weights > 0.0, seen[-1][0] - y, 0.0) * weights)
+        if self.n_offsets:
+            rest.append(first[n:] / self.input_error)
+        return Simulated(
+            np.concatenate([first, x]), np.concatenate(rest), tuple(intervals), tuple(seen), of_servo, of_rest
+        )
+
+    def linearised(self, found: Simulated, size: int, i: int) -> tuple[Array, Array, Nearby]:
+        """Derivatives of the misses of recording ``i``, which moved as it was ``found``, in its initial state and
+        offsets, (K T+K, 2n + offsets), and in the ``size`` free parameters, (K T+K, P); those of its steps."""
+        model, n = self.model, 2 * self.model.scene.n_strains
+        own, m = n + self.n_offsets, model.scene.n_inputs
+        slope, d_inputs = np.zeros((n, own + size)), np.zeros((len(found.seen), m, own + size))
+        slope[:, :n] = np.eye(n)
+        d_inputs[:, model.slots["moves"][: self.n_offsets], range(n, own)] = 1.0
+        d_inputs[:, model.slots[PARAMETERS][model.free], range(own, own + len(model.free))] = 1.0
+        servo = own + len(model.free)
+        d_inputs[:, model.slots["moves"], servo : servo + found.of_servo.shape[2]] = found.of_servo
+        slopes, of_steps = [], []
+        if self.energy is not None:
+            slope[: n // 2, n:] = found.of_rest
+            slopes.append(np.hstack([self.roots[i], np.zeros((n, slope.shape[1] - n))]))
+        for k, (_, jacobian, of_pose) in enumerate(found.seen):
+            time, of_pieces = 0.0, []
+            for piece in found.intervals[k - 1] if k else ():
+                parts = np.array([time, time + piece.h]) / self.dt
+                ends = d_inputs[k - 1] + parts[:, None, None] * (d_inputs[k] - d_inputs[k - 1])
+                slope, d_z, inverse = self.stepper.carried(piece, slope, ends)
+                time += piece.h
+                of_pieces.append((d_z, inverse))
+            if k:
+                of_steps.append(of_pieces)
             seen = jacobian @ slope
             if model.n_pose:
                 seen[:, -model.n_pose :] = of_pose * model.pose_unit
-            slopes.append(seen * weights[:, None])
+            slopes.append(seen * (np.isfinite(self.measured[i, k]) / self.errors)[:, None])
         if self.n_offsets:
-            misses.append(offset / self.input_error)
             slopes.append(np.eye(self.n_offsets, slope.shape[1], n) / self.input_error)
         stacked = np.concatenate(slopes)
-        return np.concatenate(misses), stacked[:, :own], stacked[:, own:]
+        return stacked[:, :own], stacked[:, own:], Nearby(found, tuple(of_steps))

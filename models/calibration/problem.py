@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.calibration.model import ParametrisedArm
-from pisplit.models.calibration.motion import Motion
+from pisplit.models.calibration.motion import Motion, Nearby, Simulated
 from pisplit.models.calibration.resting_shapes import RestingShapes
 
 #: Smallest slope of misses in an initial state, in parts of the largest: what no sensor sees stays as it is.
@@ -51,32 +52,56 @@ class Back:
         return self.slope.T @ rest @ self.slope, self.slope.T @ rest @ self.miss
 
 
+@dataclass(frozen=True, eq=False)
+class Missed:
+    """What is missed at a point: parameters and initial states.
+
+    Attributes:
+        prior: distance (P,) of the parameters from the first guess, in standard deviations.
+        rest: misses of shapes at rest; empty without.
+        motions: each recording that could be simulated.
+    """
+
+    prior: Array
+    rest: Array
+    motions: Mapping[int, Simulated]
+
+    @cached_property
+    def cost(self) -> float:
+        """Sum of squares of all that is to be small."""
+        parts = [self.prior, self.rest, *(found.misses for found in self.motions.values())]
+        return sum(float(part @ part) for part in parts)
+
+    def better(self, other: Missed) -> bool:
+        """Whether it is no worse than the ``other``, and no recording was lost."""
+        used, before = len(self.motions), len(other.motions)
+        return used > before or (used == before and self.cost <= other.cost)
+
+
 @dataclass(frozen=True)
 class Local:
     """The problem about a point: normal equations of the parameters, initial states eliminated.
 
     Attributes:
         normal, right: matrix (P, P) and right side (P,).
-        cost: sum of squares of all that is to be small.
+        missed: what is missed there.
         misses, entries: sum of squares of what was measured, and how many numbers that is.
         backs: each simulated recording.
+        nearby: steps of each of them, from which those of others are looked for.
     """
 
     normal: Array
     right: Array
-    cost: float
+    missed: Missed
     misses: float
     entries: float
     backs: Mapping[int, Back]
+    nearby: Mapping[int, Nearby]
 
     @property
     def used(self) -> int:
         """Number of recordings that could be simulated."""
         return len(self.backs)
-
-    def better(self, other: Local) -> bool:
-        """Whether it is no worse than the ``other``, and no recording was lost."""
-        return self.used > other.used or (self.used == other.used and self.cost <= other.cost)
 
     def damped(self, weight: float) -> tuple[Array, Array]:
         """Matrix (P, P) and right side (P,) of a step that is held back, with the initial states, by ``weight``."""
@@ -138,22 +163,28 @@ class Problem:
         step, misfit = self.change(x, local, 0.0), max(1.0, local.misses / local.entries)
         return float(np.sqrt(max(float(step @ local.normal @ step), 0.0) / (misfit * len(x))))
 
-    def linearised(self, x: Array, first: Array) -> Local:
-        """The problem about parameters ``x`` (P,) and initial states ``first`` (N, 2n)."""
-        prior, spread = self.model.prior(x), self.model.width
-        normal, right = np.diag(1.0 / spread**2), prior / spread
-        misses, entries, cost = 0.0, 0.0, float(prior @ prior)
+    def missed(self, x: Array, first: Array, near: Local | None = None) -> Missed:
+        """What is missed by parameters ``x`` (P,) and initial states ``first`` (N, 2n), looked for from a point
+        ``near``."""
+        known = {} if near is None else near.nearby
+        found = {i: self.motion.simulated(x, start, i, known.get(i)) for i, start in enumerate(first)}
+        rest = np.zeros(0) if self.rest is None else self.rest.misses(x)
+        return Missed(self.model.prior(x), rest, {i: moved for i, moved in found.items() if moved is not None})
+
+    def linearised(self, x: Array, missed: Missed) -> Local:
+        """The problem about parameters ``x`` (P,), and initial states, by which so much is ``missed``."""
+        spread = self.model.width
+        normal, right = np.diag(1.0 / spread**2), missed.prior / spread
+        misses, entries = 0.0, 0.0
         if self.rest is not None:
-            miss, slope = self.rest.misses(x), self.rest.slope(x)
-            normal, right = normal + slope.T @ slope, right + slope.T @ miss
-            misses, entries = float(miss @ miss), float(len(miss))
-            cost += misses
+            slope = self.rest.slope(x)
+            normal, right = normal + slope.T @ slope, right + slope.T @ missed.rest
+            misses, entries = float(missed.rest @ missed.rest), float(len(missed.rest))
         backs: dict[int, Back] = {}
-        for i in range(len(first)):
-            found = self.motion.linearised(x, first[i], i)
-            if found is None:
-                continue
-            miss, of_state, of_parameters = found
+        nearby: dict[int, Nearby] = {}
+        for i, found in missed.motions.items():
+            miss = found.misses
+            of_state, of_parameters, nearby[i] = self.motion.linearised(found, len(x), i)
             states = of_state.shape[1] - self.motion.n_offsets
             parts = np.abs(of_state[:, :states]).reshape(len(miss), 2, -1)  # of shapes and of rates
             floor = np.repeat(UNSEEN * parts.max(axis=(0, 2)), states // 2)
@@ -163,6 +194,6 @@ class Problem:
             left, slopes = miss - q @ (q.T @ miss), of_parameters - q @ (q.T @ of_parameters)
             normal, right = normal + slopes.T @ slopes, right + slopes.T @ left
             seen, taken = self.motion.counted(i, miss, triangle)
-            misses, entries, cost = misses + seen, entries + taken, cost + float(miss @ miss)
+            misses, entries = misses + seen, entries + taken
             backs[i] = Back(triangle, q.T @ miss, q.T @ of_parameters, self.motion.held(i))
-        return Local(normal, right, cost, misses, entries, backs)
+        return Local(normal, right, missed, misses, entries, backs, nearby)

@@ -12,7 +12,6 @@ from scipy.optimize import OptimizeResult, least_squares
 from pisplit.checks import Array, finite_array, positive
 from pisplit.models.arm.marker_sight import MarkerSight, marker_array
 from pisplit.models.arm.sight import Sight
-from pisplit.models.calibration.followed import FollowedShapes
 from pisplit.models.calibration.model import ParametrisedArm
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.rod.analysis.fields import N_FIELDS
@@ -60,10 +59,10 @@ class RestingShapes:
         else:
             measured = finite_array(fields, "fields", (len(self.u), N_FIELDS * stations))
             errors = positive(position_error, "position_error"), positive(rotation_error, "rotation_error")
-            self.sight = Sight(model.scene, stations, ("p", "R"))
+            self.sight = model.sight(stations, ("p", "R"))
             self.error = self.sight.errors(measured, *errors)
             self.measured = measured[:, self.sight.rows]
-        self._followed = FollowedShapes(model, len(self.u))
+        self._followed = model.shapes(len(self.u))
         self._last: tuple[Array, Array, Array, Array] | None = None
         self.root: Array | None = None
         if input_error > 0.0:

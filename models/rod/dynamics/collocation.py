@@ -64,11 +64,15 @@ class Collocation(Rebuilt):
             sizes.append(size)
         return ca.Function("newton", list(self.symbols), [z, *sizes[-2:], inverse])
 
+    @cached_property
+    def residual(self) -> ca.Function:
+        """``(xi, xi_t, xi_tt, u) -> residual`` in parts of ``nominal_residual``."""
+        return self.equations.native(self.equations.motion_residual)
+
     def inverse(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX) -> ca.MX:
         """Inverse (s n, s n) of the iteration matrix at ``x``, ``u0``, ``u1``, ``h``, ``z``: see ``symbols``."""
         n, s = self.equations.n_strains, self.stages
-        residual = self.equations.native(self.equations.motion_residual)
-        blocks = residual.jacobian().map(s)(*self.at_stages(x, z, (u0, u1), h), ca.DM(n, s))
+        blocks = self.residual.jacobian().map(s)(*self.at_stages(x, z, (u0, u1), h), ca.DM(n, s))
         stages = [ca.horzsplit(block, n) for block in blocks[:3]]
         acting = ca.horzsplit(blocks[3], self.equations.layout.n_acting) if self.equations.branches else []
         return ca.solve(self.iteration_matrix([*stages, acting], h), ca.DM.eye(s * n), "lapacklu")
@@ -100,7 +104,7 @@ class Collocation(Rebuilt):
             x, u0, u1, h, z: as in ``symbols``.
             inverse: of the iteration matrix.
         """
-        residual = self.equations.native(self.equations.motion_residual).map(self.stages)
+        residual = self.residual.map(self.stages)
         change = ca.reshape(inverse @ ca.vec(residual(*self.at_stages(x, z, (u0, u1), h))), *z.shape)
         nominal = ca.DM(np.tile(self.equations.nominal_strains, (self.stages, 1)).T)
         return z - change, h**2 * ca.norm_fro(change / nominal)  # norm_inf of CasADi passes over NaN

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -32,6 +33,7 @@ class Piece:
         z: accelerations (n, s) at its stages.
         u: inputs (m,) at both ends.
         h: its length in s.
+        inverse: of the matrix by which it was found.
     """
 
     x: Array
@@ -39,6 +41,22 @@ class Piece:
     u: tuple[Array, Array]
     h: float
     end: Array
+    inverse: ca.DM | Array
+
+
+@dataclass(frozen=True, eq=False)
+class Hint:
+    """What is known of a step from another motion nearby.
+
+    Attributes:
+        z: guess (n, s) of the accelerations at its stages.
+        h: its length in s.
+        inverse: of the iteration matrix.
+    """
+
+    z: Array
+    h: float
+    inverse: ca.DM | Array
 
 
 class March:
@@ -47,17 +65,20 @@ class March:
     Args:
         scheme: functions of a step.
         tolerance: of the strains in parts of their nominal size, below which the last Newton correction must be.
+        slow: contraction of the iteration beyond which its matrix is formed anew.
 
     ``iterations`` counts those of Newton's method.
     """
 
-    def __init__(self, scheme: Collocation, tolerance: float) -> None:
-        self.scheme, self.tolerance = scheme, tolerance
+    def __init__(self, scheme: Collocation, tolerance: float, slow: float = SLOW) -> None:
+        self.scheme, self.tolerance, self.slow = scheme, tolerance, slow
         self.iterations = 0
         self._guess: Array | None = None
-        self._matrix: tuple[float, ca.DM] | None = None
+        self._matrix: tuple[float, ca.DM | Array] | None = None
 
-    def interval(self, x: Array, before: Array, command: Array, dt: float, substeps: int) -> list[Piece]:
+    def interval(
+        self, x: Array, before: Array, command: Array, dt: float, substeps: int, hints: Sequence[Hint] = ()
+    ) -> list[Piece]:
         """All internal steps of one control interval: ``cut`` into equal ones.
 
         Args:
@@ -66,34 +87,48 @@ class March:
             command: inputs at its end.
             dt: its length in s.
             substeps: number of equal steps, each of which may be halved.
+            hints: where each of them is looked for first; nothing if they are not as many.
 
         Raises RuntimeError where Newton's method does not converge in the smallest steps.
         """
-        return self.cut(x, before, command, dt, np.arange(substeps + 1) / substeps)
+        return self.cut(x, before, command, dt, np.arange(substeps + 1) / substeps, hints)
 
-    def cut(self, x: Array, before: Array, command: Array, dt: float, at: Array) -> list[Piece]:
+    def cut(
+        self, x: Array, before: Array, command: Array, dt: float, at: Array, hints: Sequence[Hint] = ()
+    ) -> list[Piece]:
         """The same from ``x`` (2n,) under ``before`` to ``command`` (m,) in steps between the times ``at`` (k,).
 
-        These rise from 0 to 1, in parts of ``dt``.
+        These rise from 0 to 1, in parts of ``dt``; ``hints`` as in ``interval``.
         """
         pieces: list[Piece] = []
-        for first, last in pairwise(at):
+        for k, (first, last) in enumerate(pairwise(at)):
             start, end = before + (command - before) * first, before + (command - before) * last
-            made = self._advance(x, (start, end), dt * (last - first))
+            hint, h = (hints[k] if len(hints) == len(at) - 1 else None), dt * (last - first)
+            made = self._hinted(x, (start, end), h, hint) or self._advance(x, (start, end), h)
             if len(made) > 1:
                 self._guess = None
             x = made[-1].end
             pieces += made
         return pieces
 
+    def _hinted(self, x: Array, u: tuple[Array, Array], h: float, hint: Hint | None) -> list[Piece]:
+        """One step ``h`` as the ``hint`` says; none where that leads nowhere."""
+        if hint is None or hint.h != h:
+            return []
+        z = self._iterated(x, u, h, hint.z, hint.inverse)
+        if z is None:
+            return []
+        self._matrix, self._guess = (h, hint.inverse), z @ self.scheme.onwards
+        return [Piece(x, z, u, h, self.scheme.end(x, z, h), hint.inverse)]
+
     def _advance(self, x: Array, u: tuple[Array, Array], h: float, depth: int = 0) -> list[Piece]:
         """One step ``h`` from ``x`` with inputs from ``u[0]`` to ``u[1]``, in one piece or in halves."""
         zero = np.zeros((self.scheme.equations.n_strains, self.scheme.stages))
         for guess in (self._guess, zero) if self._guess is not None else (zero,):
             z = self._solve(x, u, h, guess)
-            if z is not None:
+            if z is not None and self._matrix is not None:
                 self._guess = z @ self.scheme.onwards
-                return [Piece(x, z, u, h, self.scheme.end(x, z, h))]
+                return [Piece(x, z, u, h, self.scheme.end(x, z, h), self._matrix[1])]
         if depth == MAX_HALVINGS:
             raise RuntimeError(f"Newton's method does not converge in steps of {h:.1e} s")
         self._guess = None
@@ -115,7 +150,7 @@ class March:
             except RuntimeError:  # a singular matrix
                 return None
             last, size = float(before), float(after)
-            while self.tolerance < size < SLOW * last:
+            while self.tolerance < size < self.slow * last:
                 self.iterations += 1
                 found, after = self.scheme.iteration(x, *u, h, found, inverse)
                 last, size = size, float(after)
@@ -131,13 +166,17 @@ class March:
         """The same by the matrix of the step before, or None where that contracts too slowly."""
         if self._matrix is None or self._matrix[0] != h:
             return None
+        return self._iterated(x, u, h, z, self._matrix[1])
+
+    def _iterated(self, x: Array, u: tuple[Array, Array], h: float, z: Array, inverse: ca.DM | Array) -> Array | None:
+        """The same by a given ``inverse`` matrix."""
         last = LARGEST_CORRECTION
         while True:
             self.iterations += 1
-            found, correction = self.scheme.iteration(x, *u, h, z, self._matrix[1])
+            found, correction = self.scheme.iteration(x, *u, h, z, inverse)
             z, size = np.asarray(found, float), float(correction)
             if size <= self.tolerance:
                 return z
-            if not size < SLOW * last:
+            if not size < self.slow * last:
                 return z if size <= ROUNDING else None
             last = size

@@ -152,8 +152,21 @@ class Stepper(Propagation):
 
     def _slope(self, piece: Piece, slope: Array, ends: Array) -> Array:
         """Derivative of [xi, xi_t] after a piece from that before it; ``ends`` are its times in parts of ``dt``."""
+        m = self.scene.n_inputs
+        d_inputs = np.zeros((2, m, slope.shape[1]))
+        for k, fraction in enumerate(ends):
+            d_inputs[k, :, self.scene.layout.inputs] = (1.0 - fraction) * np.eye(m)
+            d_inputs[k, :, self.scene.n_states :] = fraction * np.eye(m)
+        return self.carried(piece, slope, d_inputs)[0]
+
+    def carried(self, piece: Piece, slope: Array, d_inputs: Array) -> tuple[Array, Array, Array]:
+        """Derivatives in c parameters of the state after a ``piece`` (n_moving, c) and of its accelerations (s, n, c).
+
+        By the implicit function theorem on its stages, from the derivatives before it, ``slope`` (n_moving, c) of the
+        state and ``d_inputs`` (2, n_inputs, c) of the inputs at its two ends. The inverse of its matrix comes third.
+        """
         scheme, h = self.collocation, piece.h
-        n, m, s = self.scene.n_strains, self.scene.n_inputs, scheme.stages
+        n, s = self.scene.n_strains, scheme.stages
         derivatives = scheme.derivatives(*scheme.at_stages(piece.x, piece.z, piece.u, h))
         of_shape, of_rate, mass, of_acting = (np.split(np.asarray(block), s, axis=1) for block in derivatives)
         matrix = scheme.iteration_matrix([of_shape, of_rate, mass, of_acting], h)
@@ -164,17 +177,14 @@ class Stepper(Propagation):
         if self.scene.branches:
             free = [scheme.overstress.along(column, np.zeros((n, s)), h).T for column in slope.T]
             d_sigma = np.moveaxis(np.array(free), 0, -1)
-        d_inputs = np.zeros((2, m, slope.shape[1]))  # of the inputs at both ends of the piece
-        for k, fraction in enumerate(ends):
-            d_inputs[k, :, self.scene.layout.inputs] = (1.0 - fraction) * np.eye(m)
-            d_inputs[k, :, self.scene.n_states :] = fraction * np.eye(m)
         rows = []
         for i, c in enumerate(scheme.c):
             d_u = d_inputs[0] + c * (d_inputs[1] - d_inputs[0])
             row = of_shape[i] @ (d_xi + h * c * d_xi_t) + of_rate[i] @ d_xi_t + of_input[i] @ d_u
             rows.append(row + of_sigma[i] @ d_sigma[i])
-        d_z = -np.linalg.solve(matrix, np.vstack(rows)).reshape(s, n, -1)
+        inverse = np.linalg.inv(matrix)
+        d_z = -(inverse @ np.vstack(rows)).reshape(s, n, -1)
         shape = d_xi + h * d_xi_t + h * h * np.tensordot(scheme.b @ scheme.a, d_z, 1)
         bent = [np.tensordot(w[2:, -1], d_z[:, : layout.n_free], 1) for w in scheme.overstress.weights(h)]
         hidden = [d_sigma[-1] + np.vstack(bent)] if bent else []
-        return np.vstack([shape, d_xi_t + h * np.tensordot(scheme.b, d_z, 1), *hidden])
+        return np.vstack([shape, d_xi_t + h * np.tensordot(scheme.b, d_z, 1), *hidden]), d_z, inverse
