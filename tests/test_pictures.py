@@ -56,6 +56,7 @@ WITHOUT = {
             "HeldTip",
             "Layout",
             "Maxwell",
+            "Base",
         ),
     ),
     "numbers and matrices at one point": ("Stability", "PoseSensitivity", "Verdict", "Judge", "TendonParameters"),
