@@ -83,13 +83,16 @@ def limits(arm: TendonArm) -> dict[str, Any]:
     return {"u_min": arm.pretension - 0.015, "u_max": arm.pretension + 0.015, "du_max": 0.002}
 
 
-def tuned_mpc(arm: TendonArm, model: LiftedModel, loop: Callable[..., LoopLog], tip: np.ndarray) -> MPC:
+def tuned_mpc(
+    arm: TendonArm, model: LiftedModel, loop: Callable[..., LoopLog], tip: np.ndarray, turns: int = len(TRIAL_JUMPS)
+) -> MPC:
     """MPC with the rate weight that does best on trials: a smaller, slower circle than the one of the comparison, and
     jumps as far as its set-point in two other directions: a model that is too bold for its errors does not come to
     rest after some of them. Circle and jumps count alike. A weight that is worse already is not tried any further.
+    ``turns``: so many of the jumps are tried.
     """
     circle = references.circle(radius=0.06, period=6.0, center=tip[:2], approach=1.5)
-    jumps = [references.setpoint([[tip[0] + x, tip[1] + y, np.nan]], [0.3]) for x, y in TRIAL_JUMPS]
+    jumps = [references.setpoint([[tip[0] + x, tip[1] + y, np.nan]], [0.3]) for x, y in TRIAL_JUMPS[:turns]]
     trials = [(circle, 1.5, 1.0), *((jump, 3.0, 1.0 / len(jumps)) for jump in jumps)]
     best, least = None, np.inf
     for weight in RATE_WEIGHTS:
@@ -147,7 +150,7 @@ def main() -> None:
     runs: dict[str, dict[str, LoopLog]] = {task: {} for task in tasks}
     with tqdm(total=len(models) + 3 * len(tasks), desc="closed loops", unit="run") as bar:
         for name, model in models.items():
-            controllers[name] = tuned_mpc(arm, model.lifted, loop, tip)
+            controllers[name] = tuned_mpc(arm, model.lifted, loop, tip, 1 if given.quick else len(TRIAL_JUMPS))
             bar.update()
         for task, reference in tasks.items():
             for name, controller in controllers.items():

@@ -71,7 +71,7 @@ def tip(nodes: int) -> tuple[rod.Scene, np.ndarray | None]:
 
 @pytest.mark.parametrize("made", [helix, taper, tip])
 def test_errors_are_those_against_a_fine_grid(made: Callable[[int], tuple[rod.Scene, np.ndarray | None]]) -> None:
-    finest, u = made(10)
+    finest, u = made(12)
     exact = finest.fields(solved(finest, u).state, 20)[:, :3]
     for nodes in (4, 6):
         scene, u = made(nodes)
