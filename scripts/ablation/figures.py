@@ -29,7 +29,7 @@ COLOURS = {
     "B-EDMDc, rod + x_eq": "navajowhite",
     "PI Strang, rod + x_eq": "black",
     "PI balanced": "tab:gray",
-    "re-lifted": "tab:purple",
+    "re-lifted": "tab:brown",
 }
 MARKERS = {"bounded": "v", "one recording": "^", "no pairs": "*", "tendons from pairs": "D"}
 LABELS = {"shape": "squared shape error (m$^2$)", "velocity": "squared tip velocity error (m$^2$/s$^2$)"}
@@ -61,6 +61,8 @@ def draw_sizes(table: Table, path: Path, what: str) -> None:
             look = _look(label)
             lines.setdefault(label, axis.plot(x, median, **look, label=label)[0])
             axis.fill_between(x, lower, upper, color=look["color"], alpha=0.12, lw=0)
+            if len(x) == 1:  # no width to fill
+                axis.vlines(x, lower, upper, color=look["color"], alpha=0.6)
             gone = np.array([not np.isfinite(s.median) for _, s in points])
             axis.plot(x[gone], median[gone], "X", color=look["color"], ms=9)
         axis.set(xscale="log", yscale="log", title=name, xlabel="recorded pairs", ylim=(None, 1.3 * top))
