@@ -52,7 +52,8 @@ class Episodes:
     input_names    (m,) default u1, u2, ..., or as above
     quantities     (n,) physical quantity of each state ("p", "R", "q", ...): states of one quantity share one scale in
                    regressions, so that one that hardly moves is not blown up to the size of the others, its noise
-                   with it; default: states of one unit are of one quantity, any other is its own
+                   with it; default: states of one unit are of one quantity, any other is its own, and scaled by the
+                   noise that regressions find in it (:func:`pisplit.data.noise.noise_margins`)
     units          (n,) units of the states, texts; "" where unknown
     outputs        {name: indices of states}, groups of states
     extra          {name: one array an episode} saved along, for instance the full simulator state

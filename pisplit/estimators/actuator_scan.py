@@ -14,6 +14,7 @@ from pisplit.brief import brief
 from pisplit.checks import finite_array
 from pisplit.data.actuator import Actuator
 from pisplit.data.episodes import Episodes
+from pisplit.data.noise import noise_margins
 from pisplit.estimators.relifted import ReliftedRegression, Structure, state_dictionary
 from pisplit.estimators.relifted_coordinates import Coordinates
 
@@ -121,7 +122,7 @@ def _residual(episodes: Episodes) -> float:
     pairs, theta = episodes.pairs(1), state_dictionary(episodes)
     even = (np.arange(len(pairs)) // 10) % 2 == 0
     training, test = pairs.take(even), pairs.take(~even)
-    coordinates = Coordinates.of(training, theta.names.quantities, (), MAP.components)
+    coordinates = Coordinates.of(training, theta.names.quantities, (), MAP.components, noise_margins(episodes))
     r = coordinates.sizes[0]
     model = ReliftedRegression(coordinates, training, min(MAP.leading, r), MAP.degree).model(
         MAP, episodes, training, theta

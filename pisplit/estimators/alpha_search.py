@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -124,7 +124,7 @@ def fit_with_search(
     units of its quantity's spread; ``tolerance`` as in :func:`preferred`.
     """
     grid = np.array(alphas, dtype=np.float64)
-    weights = state_weights(problem.theta, problem.pairs)
+    weights = state_weights(problem.theta, problem.pairs, problem.margins)
     final = lru_cache(maxsize=None)(lambda alpha: fit(problem.moments, alpha))
 
     def verdict(held: HeldOut, alpha: float) -> RolloutVerdict:
@@ -186,7 +186,10 @@ def _first(alphas: Array, errors: Array, tolerance: float) -> int:
     return int(level[np.argmax(alphas[level])])
 
 
-def state_weights(theta: Dictionary, pairs: Pairs) -> Array:
-    """1 / scale (n,) of every state of ``theta`` by its quantity's spread over ``pairs``: errors of any unit add up."""
+def state_weights(theta: Dictionary, pairs: Pairs, margins: Mapping[str, float] | None = None) -> Array:
+    """1 / scale (n,) of every state of ``theta`` by its quantity's spread over ``pairs``: errors of any unit add up.
+
+    ``margins``: as in :func:`pisplit.regression.column_scales`.
+    """
     std = accumulate(block.x for block in pairs.blocks()).std
-    return 1.0 / column_scales(std, theta.names.quantities)
+    return 1.0 / column_scales(std, theta.names.quantities, margins=margins)

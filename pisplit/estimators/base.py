@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit.checks import count, finite_array, non_negative, one_of, positive
 from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.noise import noise_margins
 from pisplit.data.phase import PhaseSamples
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search
@@ -124,6 +125,7 @@ class Estimator(Parameters):
         def base(pairs: Pairs) -> LiftedModel:
             return lifted_model(theta, unlearned, d1, pairs, {}, more)
 
+        margins = noise_margins(d1)
         whole = base(chosen)
         learned = self._fold_moments(theta, folds, chosen, moments, rest)
         bases = [whole if fold.training is chosen else base(fold.training) for fold in folds]
@@ -133,7 +135,8 @@ class Estimator(Parameters):
             pairs=chosen,
             n_equilibria=0 if rest is None else len(rest[0]),
             moments=moments,
-            scale=column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale),
+            scale=column_scales(moments.std[: theta.n_columns], theta.column_quantities, self.scale, margins),
+            margins=margins,
             base=whole,
             held=tuple(map(HeldOut, folds, learned, bases)),
             excitation=self._exciting(excitation, theta, d1, chosen, more if isinstance(more, Pairs) else None),

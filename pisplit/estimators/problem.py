@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,6 +43,7 @@ class Problem:
     n_equilibria  states at rest that count as pairs
     moments     of the pairs: [Theta(k) | learned columns of psi(k+1)] (M + S)
     scale       (M,) units of the columns in the regressions
+    margins     factors by which scales of noisy quantities exceed their spreads
     base        the model but for its dynamics: lifting, read-out, names
     held        folds that choose alpha; empty where it is given
     excitation  what models must survive, or None
@@ -53,6 +55,7 @@ class Problem:
     n_equilibria: int
     moments: Moments
     scale: Array
+    margins: Mapping[str, float]
     base: LiftedModel
     held: tuple[HeldOut, ...]
     excitation: Excitation | None

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pisplit import observables as ob
 from pisplit.checks import count, non_negative
 from pisplit.data.episodes import Episodes, Pairs
+from pisplit.data.noise import noise_margins
 from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import state_weights
@@ -205,7 +206,7 @@ class ReliftedEDMDc(Estimator):
         self, d1: Episodes, theta: Dictionary, pairs: Pairs, folds: Sequence[Fold], structures: Sequence[Structure]
     ) -> FoldErrors:
         """Roll-outs of ``structures`` on all ``folds``; what is far behind so far takes no part in the next."""
-        weights = state_weights(theta, pairs)
+        weights = state_weights(theta, pairs, noise_margins(d1))
         verdicts: list[list[RolloutVerdict]] = [[] for _ in structures]
         constant, running = [], list(range(len(structures)))
         for number, fold in enumerate(folds, start=1):
@@ -235,10 +236,10 @@ class ReliftedEDMDc(Estimator):
         self, d1: Episodes, pairs: Pairs, theta: Dictionary, structures: Sequence[Structure]
     ) -> Iterator[tuple[Structure, LiftedModel]]:
         """Models of the ``structures`` fitted to ``pairs``; those that differ in the ridge share a factorisation."""
-        shape, solve = None, None
+        shape, solve, margins = None, None, noise_margins(d1)
         for s in structures:
             if shape is None or shape[0].sizes[0] != s.components or shape[1:] != (s.leading, s.degree):
-                coordinates = Coordinates.of(pairs, theta.names.quantities, self.omit, s.components)
+                coordinates = Coordinates.of(pairs, theta.names.quantities, self.omit, s.components, margins)
                 solve = ReliftedRegression(coordinates, pairs, s.leading, s.degree)
                 shape = coordinates, s.leading, s.degree
             assert solve is not None

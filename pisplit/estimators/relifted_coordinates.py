@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
@@ -40,15 +40,22 @@ class Coordinates:
     change: float
 
     @classmethod
-    def of(cls, pairs: Pairs, quantities: Sequence[str], omit: Sequence[str], number: int) -> Coordinates:
+    def of(
+        cls,
+        pairs: Pairs,
+        quantities: Sequence[str],
+        omit: Sequence[str],
+        number: int,
+        margins: Mapping[str, float] | None = None,
+    ) -> Coordinates:
         """``number`` components of the states in ``pairs``, at most as many as vary.
 
         ``quantities`` (n,) of the states; those of a quantity in ``omit`` do not shape the components, and are read
-        from them by regression.
+        from them by regression. ``margins``: as in :func:`pisplit.regression.column_scales`.
         """
         x = np.vstack([pairs.x, pairs.x_next])
         mean = x.mean(axis=0)
-        scale = column_scales(x.std(axis=0), quantities)
+        scale = column_scales(x.std(axis=0), quantities, margins=margins)
         part = np.array([float(q not in omit) for q in quantities])
         deviations = (x - mean) / scale
         triangle = np.linalg.qr(deviations, mode="r")

@@ -8,6 +8,7 @@ import numpy as np
 
 from pisplit.checks import check_same_step, non_negative
 from pisplit.data.episodes import Episodes
+from pisplit.data.noise import noise_margins
 from pisplit.data.pairs import Pairs
 from pisplit.data.sums import not_episodes, together
 from pisplit.dictionary.dictionary import Dictionary
@@ -87,7 +88,7 @@ class StreamingEDMDc(Estimator):
         theta, episodes, pairs = self._data()
         a, y = self.regression.rows
         size = np.sqrt((a**2).sum(axis=0) / self.regression.effective_samples)
-        scale = column_scales(size, theta.column_quantities)
+        scale = column_scales(size, theta.column_quantities, margins=noise_margins(episodes))
         scaled = a / scale
         fit = ridge(scaled, y, self.alpha * float((scaled**2).sum()) / a.shape[1])
         provenance = {
