@@ -53,7 +53,7 @@ class MarkerSight:
             if k + 1 in capture.frames:
                 columns.append(ca.vec((turn @ frames[k]).T))
         y = ca.vertcat(*columns)
-        return ca.Function("markers", [xi, pose], [y, ca.jacobian(y, xi), ca.jacobian(y, pose)], {"cse": True})
+        return ca.Function("markers", [xi, pose], [y, ca.jacobian(y, xi), ca.jacobian(y, pose)])
 
     def look(self, state: Array, pose: Array | None = None) -> tuple[Array, Array, Array]:
         """Columns (K,), their derivatives (K, 2n) in the ``state`` [xi, xi_t] (2n,) and (K, 6) in the pose.

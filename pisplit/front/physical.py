@@ -80,7 +80,7 @@ class PhysicalStep:
     @cached_property
     def _fields_at(self) -> Buffered:
         x, y = self.measured
-        return Buffered(ca.Function("fields", [x], [ca.densify(y)], {"cse": True}))
+        return Buffered(ca.Function("fields", [x], [ca.densify(y)]))
 
     @cached_property
     def _fields_slope(self) -> ca.Function:

@@ -68,7 +68,7 @@ class PlannedOutputs:
         if self._fields_at is None or len(ends) != self._fields_at[0]:
             x, y = self._step.measured
             read = ca.DM(self._read[:, self._step.n + self._step.m :]) @ y
-            one = ca.Function("read", [x], [ca.densify(read), ca.densify(ca.jacobian(read, x))], {"cse": True})
+            one = ca.Function("read", [x], [ca.densify(read), ca.densify(ca.jacobian(read, x))])
             self._fields_at = len(ends), Buffered(one.map(len(ends)))
         return self._fields_at[1](ends)
 

@@ -38,12 +38,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the product of two vectors does not depend on their order",
     ),
     Equivalent(
-        "models/rod/equations/tangent.py",
-        'scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": True})',
-        'scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": False})',
-        "common subexpressions cost time and change no value",
-    ),
-    Equivalent(
         "controllers/mpc/prediction.py",
         "self._offset_response = self._response.reshape(H * p, -1) @ np.tile(limits.offset, H)",
         "self._offset_response = self._response.reshape(H * p, -2) @ np.tile(limits.offset, H)",
@@ -376,12 +370,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range",
         "within = np.abs(x) < DIVERGENCE_FACTOR * self.state_range",
         "a state that equals the limit exactly",
-    ),
-    Equivalent(
-        "models/rod/equations/variational.py",
-        'moving = ca.Function("moving", [parts, rates, accelerations], [first, second], {"cse": True})',
-        'moving = ca.Function("moving", [parts, rates, accelerations], [first, second], {"cse": False})',
-        "common subexpressions are found for speed",
     ),
     Equivalent(
         "models/rod/kinematics/kinematics.py",

@@ -72,7 +72,7 @@ class StrainCoordinates(Rebuilt):
         to = rule.integrate_to(self.points)
         axes = [c % 3 for c in scene.rod.strain_set.free]
         blocks = [[float(row[k]) * motion.frames[k][:, axes] for k in range(scene.nodes)] for row in to]
-        spin_map = ca.Function("spin_map", [xi], [ca.blockcat(blocks)], {"cse": True})
+        spin_map = ca.Function("spin_map", [xi], [ca.blockcat(blocks)])
 
         y = ca.MX.sym("fields", N_FIELDS * len(self.points))
         stations = ca.reshape(y, N_FIELDS, len(self.points))

@@ -138,7 +138,7 @@ def stored(scene: Scene) -> ca.Function:
         for branch, s in zip(scene.branches, _by_branch(scene, sigma), strict=True):
             elastic += 0.5 / branch.fraction * _square(scene, s)
         parts = [0.5 * ca.dot(xi_t, momentum), elastic, _potential(scene, xi)]
-        scene.__dict__["_stored"] = ca.Function("stored", [xi, xi_t, sigma], parts, {"cse": True})
+        scene.__dict__["_stored"] = ca.Function("stored", [xi, xi_t, sigma], parts)
     found: ca.Function = scene.__dict__["_stored"]
     return found
 
@@ -168,7 +168,7 @@ def powers(scene: Scene) -> ca.Function:
             load = _residual(scene, (*beside, term), xi, xi_t, u) - _residual(scene, beside, xi, xi_t, u)
             work.append(ca.dot(rates, load))
         total = ca.vertcat(ca.SX(0, 1), *work)
-        scene.__dict__["_powers"] = ca.Function("powers", [xi, xi_t, acting], [total], {"cse": True})
+        scene.__dict__["_powers"] = ca.Function("powers", [xi, xi_t, acting], [total])
     found: ca.Function = scene.__dict__["_powers"]
     return found
 

@@ -77,9 +77,9 @@ class Fields(Rebuilt):
             "shape": tuple(N_FIELDS * k + axis for k in range(len(self.points)) for axis in range(3)),
         }
 
-    @cached_property
-    def symbolic(self) -> ca.Function:
-        """``(xi, xi_t, xi_tt, u) -> fields`` (24 S,) in SX."""
+    @property
+    def expression(self) -> tuple[list[ca.SX], list[ca.SX]]:
+        """The symbols xi, xi_t, xi_tt, u, and the fields (24 S,) of them."""
         xi, xi_t, xi_tt, u, balance = self.scene.dynamic_balance
         motion, rule = balance.motion, self.scene.rule
         points = list(self.points)
@@ -91,7 +91,12 @@ class Fields(Rebuilt):
             rotation = ca.vec(frame.T)
             body = (v[:, k], w[:, k], frame.T @ velocity[:, k], frame.T @ spin[:, k])
             columns.append(ca.vertcat(p[:, k], rotation, *body))
-        return ca.Function("fields", [xi, xi_t, xi_tt, u], [ca.vertcat(*columns)], {"cse": True})
+        return [xi, xi_t, xi_tt, u], [ca.vertcat(*columns)]
+
+    @cached_property
+    def symbolic(self) -> ca.Function:
+        """``(xi, xi_t, xi_tt, u) -> fields`` (24 S,) in SX."""
+        return ca.Function("fields", *self.expression)
 
     @cached_property
     def function(self) -> ca.Function:

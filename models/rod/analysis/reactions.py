@@ -54,7 +54,7 @@ def _read(scene: Scene, x: ArrayLike, name: str, what: str) -> Array:
         if name not in scene.__dict__:
             xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
             wrench = _wrench(scene, balance, name)
-            scene.__dict__[name] = ca.Function("reactions", [xi, xi_t, xi_tt, u], [wrench], {"cse": True})
+            scene.__dict__[name] = ca.Function("reactions", [xi, xi_t, xi_tt, u], [wrench])
         parts = tuple(part.T for part in scene.layout.arguments(flat))
         bends = scene.acceleration.map(len(flat))(*parts) if len(flat) else np.empty((scene.n_strains, 0))
         made = scene.__dict__[name]

@@ -115,7 +115,7 @@ class Collocation(Rebuilt):
         xi, xi_t, xi_tt, u, balance = self.equations.dynamic_balance
         symbols, scale = [xi, xi_t, xi_tt, u], ca.diag(1.0 / ca.DM(self.equations.nominal_residual))
         blocks = [scale @ block for block in slopes(balance, symbols)]
-        exact = ca.Function("derivatives", symbols, [ca.densify(block) for block in blocks], {"cse": True})
+        exact = ca.Function("derivatives", symbols, [ca.densify(block) for block in blocks])
         return exact.map(self.stages)
 
     @cached_property

@@ -24,7 +24,7 @@ class ExactCollocation(Collocation):
         """``(xi, xi_t, xi_tt, u) -> residual`` in parts of ``nominal_residual``, without its Jacobian."""
         *symbols, balance = self.equations.dynamic_balance
         scaled = balance.residual / ca.DM(self.equations.nominal_residual)
-        return ca.Function("residual", symbols, [scaled], {"cse": True})
+        return ca.Function("residual", symbols, [scaled])
 
     def slopes(self, x: Array, z: Array, u: tuple[Array, Array], h: float) -> tuple[list[list[Array]], Array]:
         """Derivatives of the residual at the stages and the inverse (s n, s n) of the matrix they make.

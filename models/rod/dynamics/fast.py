@@ -158,7 +158,7 @@ class FastStepper(Stepper):
         scene = self.equations
         xi, u, balance = scene.static_balance
         points = (scene.rod.length * np.arange(1, POINTS + 1) / POINTS).tolist()
-        return ca.Function("shape", [xi, u], [balance.motion.position_at(points)], {"cse": True})
+        return ca.Function("shape", [xi, u], [balance.motion.position_at(points)])
 
     def _distance(self, x: Array, y: Array, u: Array) -> float:
         """Largest distance in m of two shapes [xi, xi_t] under the inputs ``u``, infinite where one is none."""

@@ -39,6 +39,8 @@ LEAST_SIZE, AT_REST = 1e-4, 1e-8
 TYPICAL = 0.3
 #: The least tolerance that IDAS takes.
 LEAST_RTOL = 1e-12
+#: Intervals after which it pays to share the subexpressions of the residual and of its Jacobian.
+MANY = 1000
 #: Commands of a run by which its size is judged, and the step of differences of scaled strains.
 JUDGED, STEP = 64, 1e-6
 
@@ -82,6 +84,7 @@ class Simulator(Propagation):
             raise ValueError(f"Simulator rtol = {self.rtol:g}; expected 1e-12 to 0.1")
         self.inputs = one_of(inputs, "Simulator inputs", ("ramp", "step"))
         self.balance = balance
+        self._intervals = 0
 
     def _on(self, scene: Scene, finer: float = 0.1) -> Simulator:
         rtol = max(finer * self.rtol, LEAST_RTOL)
@@ -103,6 +106,7 @@ class Simulator(Propagation):
             energy: whether to add the work of every term since the start.
         """
         layout, steps = self.scene.layout, len(commands)
+        self._intervals += steps
         strains, moving, overstress, before = layout.split(start)
         if self.inputs == "ramp":
             origin = np.vstack([before, commands[:-1]])
@@ -212,16 +216,20 @@ class Simulator(Propagation):
         return self.equations.native(self.equations.motion_residual)
 
     @cached_property
-    def _integrators(self) -> dict[tuple[int, bool, bool, int], ca.Function]:
+    def _shared_balance(self) -> ca.Function:
+        return self.equations.native(self.equations.shared_motion_residual)
+
+    @cached_property
+    def _integrators(self) -> dict[tuple[int, bool, bool, int, bool], ca.Function]:
         return {}
 
     def _integrator(self, steps: int, correct_first: bool, energy: bool, level: int) -> ca.Function:
-        key = (steps, correct_first, energy, level)
+        key = (steps, correct_first, energy, level, self._intervals > MANY)
         if key not in self._integrators:
             self._integrators[key] = self._build(*key)
         return self._integrators[key]
 
-    def _build(self, steps: int, correct_first: bool, energy: bool, level: int) -> ca.Function:
+    def _build(self, steps: int, correct_first: bool, energy: bool, level: int, shared: bool) -> ca.Function:
         """IDAS over a grid of steps, in the deviation from a motion with the right first derivative.
 
         CasADi starts IDAS with zero time derivatives. For a rod that moves this is inconsistent: with plain states 7 %
@@ -245,7 +253,7 @@ class Simulator(Propagation):
             "u": control,
             "t": t,
             "ode": ca.vertcat(moving, z, scene.overstress_rates(moving, overstress)) - fade * start[q:],
-            "alg": self._balance(strains, moving, z, acting),
+            "alg": (self._shared_balance if shared else self._balance)(strains, moving, z, acting),
         }
         if energy:
             dae["quad"] = powers(scene)(strains, moving, acting)

@@ -52,7 +52,7 @@ class Overstress:
                 drive = ca.horzcat(1.0, f * h, f * h**2 * ca.DM(self.b @ self.a).T)
                 end = drive - rate * ca.DM(self.b).T @ at_stages
             found.append(ca.vertcat(at_stages, end).T)
-        return ca.Function("overstress_weights", [h], found, {"cse": True})
+        return ca.Function("overstress_weights", [h], found)
 
     def weights(self, h: Any) -> list[Any]:
         """Of each branch (s+2, s+1), at the stages and the end: of sigma, of xi_t, of the accelerations.

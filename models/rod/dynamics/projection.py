@@ -72,7 +72,7 @@ class Projection(Rebuilt):
         stiffness = rod.profile(scene.rule.nodes).stiffness[list(rod.strain_set.free)].T.ravel()
         stiffness = np.append(stiffness, joint_stiffness(rod, scene.terms))
         soft = ca.diag(ca.DM(1.0 / (stiffness * scene.weights) * min(rod.stiffness[:2]) / rod.length)) @ slope.T
-        return ca.Function("conditions", [xi, xi_t, u], [g, slope, g_t, soft], {"cse": True})
+        return ca.Function("conditions", [xi, xi_t, u], [g, slope, g_t, soft])
 
     def state(self, x: Array, what: str = "x0") -> Array:
         """The state [xi, xi_t, u] (n_states,) nearest to ``x`` (n_states,), which ``what`` names in messages.

@@ -122,4 +122,4 @@ class SpaceError(Rebuilt):
         hidden = self.finer.layout.n_overstress
         residual = balance.residual / ca.DM(self.finer.nominal_residual)
         motion = ca.vertcat(xi, xi_t, xi_tt, acting[:hidden, :])  # [:hidden] of one entry is a row
-        return ca.Function("defect", [motion, acting[hidden:, :]], [residual], {"cse": True})
+        return ca.Function("defect", [motion, acting[hidden:, :]], [residual])

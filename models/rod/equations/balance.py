@@ -56,6 +56,7 @@ class Balance:
         dead_force: (3, K) in N adds an internal force at the nodes that does not depend on the motion.
         reaction: (6,) world force in N and moment in N m by which the tip is held; None where it is free.
         holding: how the reaction follows from the balance: see ``held``.
+        shape: a motion through the same strains, whose frames serve here too (see ``Motion``).
     """
 
     rod: Rod
@@ -69,11 +70,12 @@ class Balance:
     dead_force: ca.SX | None = None
     reaction: ca.SX | None = None
     holding: Holding | None = None
+    shape: Motion | None = None
 
     @cached_property
     def motion(self) -> Motion:
         """Kinematics."""
-        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations, self.base)
+        return Motion(self.rod, self.rule, self.strains, self.rates, self.accelerations, self.base, self.shape)
 
     @property
     def base(self) -> BaseState:

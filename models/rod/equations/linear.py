@@ -92,7 +92,7 @@ def linearise(scene: Scene, state: ArrayLike) -> Linearisation:
     n = scene.n_strains
     xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
     symbols = [xi, xi_t, xi_tt, u]
-    jacobian = ca.Function("jacobian", symbols, slopes(balance, symbols), {"cse": True})
+    jacobian = ca.Function("jacobian", symbols, slopes(balance, symbols))
     parts = scene.layout.arguments(x)
     with lock_of(scene):
         acceleration = scene.acceleration(*parts)

@@ -75,7 +75,7 @@ class Tangent:
         outputs = [motion.position_at([s]), frame]
         changes = [scale @ block for block in slopes(balance, [xi, u])]
         changes += [ca.jacobian(value, symbol) for value in (outputs[0], ca.vec(frame)) for symbol in (xi, u)]
-        self._function = ca.Function("tangent", [xi, u], outputs + changes, {"cse": True})
+        self._function = ca.Function("tangent", [xi, u], outputs + changes)
 
     def sensitivity(self, state: Array) -> PoseSensitivity:
         """Derivatives at an equilibrium ``state`` [xi, 0, u] (n_states,), by the implicit function theorem."""
@@ -102,7 +102,7 @@ def stability(scene: Scene, state: Array) -> Stability:
         weights = ca.DM(np.repeat(scene.rule.weights, scene.rod.strain_set.n_fields))
         bare = replace(balance, terms=())
         pair = [-ca.diag(weights) @ ca.jacobian(b.residual, xi) for b in (balance, bare)]
-        scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair, {"cse": True})
+        scene.__dict__["_stiffness"] = ca.Function("stiffness", [xi, u], pair)
     found = scene.__dict__["_stiffness"](strains, inputs)
     tangent, elastic = (finite_answer(np.asarray(k), "stiffnesses") for k in found)
     symmetric, skew = 0.5 * (tangent + tangent.T), 0.5 * (tangent - tangent.T)

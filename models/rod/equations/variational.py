@@ -31,8 +31,8 @@ def _vector(size: int) -> tuple[ca.Function, ca.Function]:
     moment, omega = ca.SX.sym("moment", 3), rotation_vector(parts)
     first = ca.jtimes(omega, parts, rates)
     second = ca.jtimes(first, parts, rates) + ca.jtimes(omega, parts, accelerations)
-    moving = ca.Function("moving", [parts, rates, accelerations], [first, second], {"cse": True})
-    acting = ca.Function("acting", [parts, moment], [ca.jtimes(omega, parts, moment, True)], {"cse": True})
+    moving = ca.Function("moving", [parts, rates, accelerations], [first, second])
+    acting = ca.Function("acting", [parts, moment], [ca.jtimes(omega, parts, moment, True)])
     return moving, acting
 
 

@@ -55,6 +55,7 @@ class Motion:
         strains, rates, accelerations: its coordinates (n_strains,) and their derivatives; those of a joint at the base,
             behind those of the rod, are not looked at.
         base: motion of the clamp.
+        shape: another motion through the same strains and the same clamp, whose frames and tangents serve here too.
     """
 
     rod: Rod
@@ -63,6 +64,7 @@ class Motion:
     rates: ca.SX
     accelerations: ca.SX
     base: BaseState = field(default_factory=BaseState.fixed)
+    shape: Motion | None = None
 
     @cached_property
     def profile(self) -> Profile:
@@ -110,6 +112,8 @@ class Motion:
     @cached_property
     def frames(self) -> list[ca.SX]:
         """Rotations R at the nodes, then at the tip."""
+        if self.shape is not None:
+            return self.shape.frames
         points = [*self.rule.nodes.tolist(), self.rule.length]
         return self.frames_at(points)
 
@@ -119,6 +123,8 @@ class Motion:
 
     @cached_property
     def _steps(self) -> list[ca.SX]:
+        if self.shape is not None:
+            return self.shape._steps
         return self.rod.strain_set.steps(self.w, self.rule, self.base.quaternion)
 
     @property
@@ -153,6 +159,8 @@ class Motion:
     @cached_property
     def tangent(self) -> ca.SX:
         """p_s = R v."""
+        if self.shape is not None:
+            return self.shape.tangent
         return self.to_world(self.v)
 
     @cached_property

@@ -12,6 +12,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
@@ -50,6 +51,11 @@ class CompiledScene(Scene):
 
     def __reduce__(self) -> tuple[object, ...]:
         return _recompile, super().__reduce__()
+
+    @cached_property
+    def motion_residual(self) -> ca.Function:
+        """``(xi, xi_t, xi_tt, u) -> residual``: what it shares is found before it becomes machine code."""
+        return self.shared_motion_residual
 
     def variational(self) -> CompiledScene:
         """The twin that keeps energy (see ``Scene.variational``), as machine code too."""

@@ -64,7 +64,7 @@ def tensions(scene: Scene, states: ArrayLike) -> Array:
     x = np.atleast_2d(real_array(states, "states"))
     xi, u, balance = scene.static_balance
     tension = balance.loads.outputs.get("tension", ca.SX(0, 1))
-    read = ca.Function("tension", [xi, u], [tension], {"cse": True})
+    read = ca.Function("tension", [xi, u], [tension])
     strains, *_, inputs = scene.layout.split(x)
     found: Array = np.asarray(read.map(len(x))(strains.T, inputs.T), dtype=np.float64).T
     return found.reshape(len(x), tension.numel())

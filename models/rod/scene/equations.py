@@ -13,6 +13,7 @@ from pisplit.checks import Array, finite_array
 from pisplit.data.columns import in_order
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.equations.held import held, slopes
+from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.scene.contents import Contents
 from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.damping import KelvinVoigt, Retardation
@@ -78,7 +79,13 @@ class Equations(Contents):
     # Balance ---------------------------------------------------------------------------------------------------------
 
     def balance(
-        self, strains: ca.SX, rates: ca.SX, accelerations: ca.SX | None, u: ca.SX, dead_force: ca.SX | None = None
+        self,
+        strains: ca.SX,
+        rates: ca.SX,
+        accelerations: ca.SX | None,
+        u: ca.SX,
+        dead_force: ca.SX | None = None,
+        shape: Motion | None = None,
     ) -> Balance:
         """Symbolic balance at given coordinates.
 
@@ -89,6 +96,7 @@ class Equations(Contents):
             u: stacked inputs (n_inputs,), in a scene with Maxwell branches behind their overstress (n_acting,); with
                 the inputs alone the branches are relaxed.
             dead_force: internal force (3, K) in N at the nodes that does not depend on the motion; None: none.
+            shape: the motion of another balance at the same ``strains`` and ``u``, so that frames are written once.
         """
         parts: dict[str, ca.SX] = {}
         branches = self.branches if u.numel() == self.layout.n_acting else ()
@@ -102,7 +110,9 @@ class Equations(Contents):
         moving = accelerations is not None or (at_rest and carried)  # at rest on a moving base: inertia of that motion
         second = ca.SX(self.n_strains, 1) if accelerations is None else accelerations
         motion = (strains, rates, second)
-        made = self.balance_type(self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force)
+        made = self.balance_type(
+            self.rod, self.terms, self.rule, *motion, parts, inertia=moving, dead_force=dead_force, shape=shape
+        )
         tip = held_tip(self.terms)
         return made if tip is None else held(made, tip, moving=accelerations is not None)
 
@@ -142,7 +152,7 @@ class Equations(Contents):
         scale = 1.0 / ca.DM(self.nominal_residual)
         (mass,) = slopes(balance, [xi_tt])
         rest = ca.substitute(balance.residual, xi_tt, ca.SX.zeros(self.n_strains))
-        parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest], {"cse": True})
+        parts = ca.Function("parts", [xi, xi_t, u], [ca.diag(scale) @ mass, scale * rest])
         x, v, w = ca.MX.sym("xi", self.n_strains), ca.MX.sym("xi_t", self.n_strains), ca.MX.sym("u", u.numel())
         m, r = parts(x, v, w)
         return ca.Function(

@@ -37,7 +37,7 @@ def fingerprint(scene: Scene, stations: int | ArrayLike = 6) -> str:
     parts = [
         ca.Function("rest", [xi, u], [rest.residual]),
         ca.Function("motion", [x, x_t, x_tt, v], [moving.residual]),
-        fields.symbolic,
+        ca.Function("fields", *fields.expression, {"cse": True}),
     ]
     seen = hashlib.sha256(json.dumps(_about(scene, fields.points), sort_keys=True).encode())
     for part in parts:

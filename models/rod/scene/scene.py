@@ -160,6 +160,13 @@ class Scene(Equations):
 
         return motion_residual(self)
 
+    @cached_property
+    def shared_motion_residual(self) -> ca.Function:
+        """The same, faster to evaluate and slower to build: for long runs."""
+        from pisplit.models.rod.equations.residuals import motion_residual
+
+        return motion_residual(self, shared=True)
+
     def statics(self) -> Statics:
         """Static equilibria: see ``Statics``; made once."""
         from pisplit.models.rod.statics.statics import Statics

@@ -157,7 +157,7 @@ class FixedTip(Rebuilt):
         residual, pose = ca.substitute([residual, pose], [xi, inputs], [known, ca.vertcat(u, *wrench)])
         slopes = [ca.jacobian(residual, x), ca.jacobian(residual, many), ca.jacobian(pose, x)]
         outputs = [residual, pose, *map(ca.densify, slopes)]
-        return ca.Function("errors", [x, many, u, ca.vertcat(p, ca.vec(turn))], outputs, {"cse": True})
+        return ca.Function("errors", [x, many, u, ca.vertcat(p, ca.vec(turn))], outputs)
 
     def _wrench(self, multipliers: Any, turn: Any, force: Any, moment: Any) -> tuple[Any, Any]:
         """World force and moment, (3,) each, of multipliers; ``force`` and ``moment`` come as zeros."""

@@ -86,7 +86,7 @@ class Statics(Rebuilt):
         xi, u, balance = self.scene.static_balance
         empty = ca.SX(0, 1)
         outputs = [balance.loads.outputs.get(name, empty) for name in ("tension", "length", "unpulled_length")]
-        return ca.Function("readings", [xi, u], outputs, {"cse": True})
+        return ca.Function("readings", [xi, u], outputs)
 
     def _need_clamp(self) -> None:
         if self.scene.n_joint:
