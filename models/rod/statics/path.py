@@ -18,6 +18,9 @@ LEAST, DOUBTFUL = 2e-5, 1e-3
 PUSH, ONWARD = 1e-2, 1e-2
 #: Added to the stiffness in predictions, where it may be singular.
 SHIFT = 1e-5
+#: Most stiffness that a shape out of balance is given the benefit of: a rod that turns freely about a line never falls
+#: short by more, and would otherwise be followed to where no balance is.
+DOUBT = 0.2
 #: Loss of stability at most along one way.
 MOST_EVENTS = 12
 #: Force that counts as none at the end.
@@ -83,7 +86,7 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
             guess = guess + 0.5 * step * step * (tangent - before[0]) / before[1]
         ahead = t + step if 1.0 - t - step > 1e-12 else 1.0
         force, now, rate_ahead = way(guess, ahead)
-        slack = NEUTRAL + float(np.linalg.norm(force)) / max(judge.size(guess), 0.1)
+        slack = min(DOUBT, NEUTRAL + float(np.linalg.norm(force)) / max(judge.size(guess), 0.1))
         accepted = judge.kept(now, stiffness, KEPT, slack)
         if accepted:
             correction = solved(_shifted(now), force)
