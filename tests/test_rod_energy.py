@@ -1,10 +1,13 @@
 """Power balance: what the inputs do is stored, dissipated, or moves the rod."""
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from pisplit.models import rod
+from pisplit.models.rod.analysis.energy import stored
 
 GRAVITY = np.array([-9.81, 0.0, 1.5])
 
@@ -73,6 +76,37 @@ def test_power_of_a_spatial_rod_balances_as_the_nodes_grow() -> None:
     coarse, fine = (max(imbalance(scene("kirchhoff", k), seed) for seed in range(3)) for k in (4, 10))
     assert fine < 1e-4
     assert fine < coarse / 10.0
+
+
+OFFSET = (0.05, 0.03, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("strains", "nodes", "terms"),
+    [
+        ("kirchhoff", 5, [rod.PointMass(0.3, 0.05, (1e-4, 2e-4, 3e-4), OFFSET), rod.Gravity((1.0, 2.0, -9.81))]),
+        ("kirchhoff", (3, 3), [rod.PointMass(0.3, 0.05, (1e-4, 2e-4, 3e-4), OFFSET)]),
+        ("kirchhoff", 4, [rod.PointMass(0.5, 0.05, (1e-4, 2e-4, 3e-4), OFFSET), rod.Base(hinge="ball")]),
+        ("cosserat", 3, [rod.PointMass(0.3, 0.05, offset=OFFSET), rod.Base(hinge="ball", slides="xyz")]),
+    ],
+)
+def test_bodies_off_the_axis_give_and_take_no_energy(strains: str, nodes: Any, terms: list[Any]) -> None:
+    """Wherever a body is fixed, the variational balance is Lagrange's equation: M symmetric, T + V constant."""
+    elements = (0.3, 0.2) if isinstance(nodes, tuple) else ()
+    body = rod.Rod(0.5, rod.Circle(1e-2), rod.Elastic(1e7, 3.4e6, 1000.0), strains, elements=elements)
+    scene = rod.Scene(body, *terms, nodes=nodes).variational()
+    xi, xi_t, xi_tt, u, balance = scene.dynamic_balance
+    residual = ca.DM(scene.weights) * balance.residual
+    kinetic, elastic, gravity = stored(scene)(xi, xi_t, ca.SX(0, 1))
+    state, rate = ca.vertcat(xi, xi_t), ca.vertcat(xi_t, xi_tt)
+    gain = [ca.jtimes(energy, state, rate) for energy in (kinetic, kinetic + elastic + gravity)]
+    read = ca.Function("read", [xi, xi_t, xi_tt, u], [-ca.jacobian(residual, xi_tt), residual, *gain])
+    size, rng = np.asarray(scene.nominal_strains), np.random.default_rng(0)
+    q, v = 1.5 * size * rng.standard_normal((2, scene.n_strains))
+    mass, force = (np.array(m) for m in read(q, v, 0.0, [])[:2])
+    assert np.abs(mass - mass.T).max() < 1e-12 * np.abs(mass).max()
+    *_, moved, lost = read(q, v, np.linalg.solve(mass, force), [])
+    assert abs(float(lost)) < 1e-9 * abs(float(moved))
 
 
 @pytest.mark.parametrize(("strains", "nodes", "tolerance"), [("planar", 4, 1e-4), ("kirchhoff", 6, 1e-3)])

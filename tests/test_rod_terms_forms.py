@@ -270,10 +270,13 @@ def test_loads_at_a_point_and_along_the_rod_follow_the_sections_when_told_to() -
         backbone = body(elements=(0.25, 0.15))
         scene = rod.Scene(backbone, *base, rod.PointWrench(0.25, force, moment, follower), nodes=2)
         xi, _, balance = scene.static_balance
-        inside = ca.Function("f", [xi], [balance.loads.point_force, balance.loads.stress_w])(scene.rest_coordinates)
+        turned = rod.Scene(backbone, *base, rod.PointWrench(0.25, (0.0,) * 3, moment, follower), nodes=2).static_balance
         below = np.array([1.0, 1.0, 0.0, 0.0])
-        assert np.asarray(inside[0]) == pytest.approx(np.outer(f, below), abs=1e-6)
-        assert np.asarray(inside[1]) == pytest.approx(np.outer(-turn.inv().apply(m), below), abs=1e-6)
+        inside = ca.Function("f", [xi], [balance.loads.point_force])(scene.rest_coordinates)
+        assert np.asarray(inside) == pytest.approx(np.outer(f, below), abs=1e-6)
+        carried = ca.Function("m", turned[:1], [turned[2].residual])(scene.rest_coordinates)
+        moments = np.asarray(carried).reshape(4, -1)[:, :3]
+        assert moments == pytest.approx(np.outer(below, turn.inv().apply(m)), abs=1e-6)
 
 
 # The rod -------------------------------------------------------------------------------------------------------------

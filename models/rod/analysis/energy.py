@@ -178,7 +178,7 @@ def _acts_on_rates(scene: Scene, term: Term) -> bool:
     xi, u = ca.SX.sym("xi", scene.n_strains), ca.SX.sym("u", scene.n_inputs)
     loads = replace(scene.balance(xi, ca.SX(*xi.shape), None, u), terms=(term,)).loads
     parts = (loads.force, loads.moment, loads.tip_force, loads.tip_moment, loads.stress_w, loads.stress_v)
-    return all(part.is_zero() for part in (*parts, loads.point_force))
+    return all(part.is_zero() for part in (*parts, loads.point_force, *loads.point_moments.values()))
 
 
 def _weight_terms(scene: Scene) -> tuple[Term, ...]:

@@ -12,7 +12,7 @@ from pisplit.models.rod.kinematics.kinematics import BaseState, Motion, columnwi
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.gravity import Gravity
-from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row
+from pisplit.models.rod.terms.loads import Input, Loads, Term, by_row, shares_below
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +162,8 @@ class Balance:
     def _body_moment(self) -> ca.SX:
         """Internal moment R^T M at the nodes (3, K) in N m."""
         moment = ca.repmat(self.loads.tip_moment, 1, self.rule.n_nodes) + self.motion.to_tip(self._moment_density)
+        for s, at_point in self.loads.point_moments.items():
+            moment += at_point @ ca.DM(shares_below(self.motion, s))
         return self.motion.to_body(moment)
 
     def _rotary_inertia(self) -> ca.SX:

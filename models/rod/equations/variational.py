@@ -147,18 +147,25 @@ class VariationalMotion(Motion):
         """O_t at the nodes in rad/s^2."""
         return self.spin_rate_at(self.rule.nodes.tolist())
 
-    def conjugate(self, moments: ca.SX, tip: ca.SX) -> ca.SX:
-        """World moments at the nodes (3, K) and at the tip (3,) as they act on the nodal strains w, (3, K).
+    def conjugate(self, moments: ca.SX, tip: ca.SX, at_points: dict[float, ca.SX]) -> ca.SX:
+        """World moments at the nodes (3, K), at the tip (3,) and ``at_points`` between as they act on w, (3, K).
 
-        The transpose of ``spin_at`` the nodes and the tip: sum_k moments_k . dO_k + tip . dO(L).
+        The transpose of ``spin_at`` these points: sum_k moments_k . dO_k + tip . dO(L) + sum_s at_points[s] . dO(s).
         """
         ends, nodes = self.rule.step_ends, self.rule.nodes.tolist()
         total = tip
         acting = self._turn(ends[-1], self.rule.length).conjugate(self._ends[-1].T @ total)
-        for k in reversed(range(1, len(ends))):
+        for k in reversed(range(len(ends))):
+            for s, moment in at_points.items():
+                if ends[k] < s and (k + 1 == len(ends) or s < ends[k + 1]):
+                    acting = acting + self._turn(ends[k], s).conjugate(self._ends[k].T @ moment)
+                    total = total + moment
+                elif s == ends[k]:
+                    total = total + moment
             if ends[k] in nodes:
                 total = total + moments[:, nodes.index(ends[k])]
-            acting = acting + self._turns[k - 1].conjugate(self._ends[k - 1].T @ total)
+            if k:
+                acting = acting + self._turns[k - 1].conjugate(self._ends[k - 1].T @ total)
         return acting
 
 
@@ -196,4 +203,5 @@ class VariationalBalance(Balance):
         if self.rod.strain_set.planar:
             return super()._body_moment
         weights = ca.repmat(ca.DM(self.rule.weights[None, :]), 3, 1)
-        return self._motion.conjugate(weights * self._moment_density, self.loads.tip_moment) / weights
+        loads = self.loads
+        return self._motion.conjugate(weights * self._moment_density, loads.tip_moment, loads.point_moments) / weights

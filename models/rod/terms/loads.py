@@ -60,6 +60,7 @@ class Loads:
             at the nodes (damping, tendons).
         point_force: world internal force at the nodes (3, K) in N that balances forces at points of the rod (see
             ``add_at``); ``point_inertia`` (3, K) the same for inertia forces of added masses.
+        point_moments: world moments (3,) in N m between base and tip by arclength in m.
         base_force, base_moment: what forces in N and moments in N m at points add to the resultants at the base (3,)
             beside ``tip_force`` and ``tip_moment``.
         gravity: world acceleration of gravity (3,) in m/s^2.
@@ -83,6 +84,7 @@ class Loads:
     moving: bool
     inputs: dict[str, ca.SX]
     outputs: dict[str, ca.SX] = field(default_factory=dict)
+    point_moments: dict[float, ca.SX] = field(default_factory=dict)
 
     @classmethod
     def none(cls, n_nodes: int, inputs: dict[str, ca.SX], moving: bool = True) -> Loads:
@@ -110,11 +112,17 @@ class Loads:
                 raise ValueError(
                     f"{type(term).__name__}.apply makes loads.{name} {after.shape}; expected {before.shape}"
                 )
-            own = not type(term).__module__.startswith("pisplit.")
-            entries: list[Any] = after.nonzeros() if own else []
-            constants = [float(e) for e in entries if e.is_constant()]
-            if not np.all(np.isfinite(constants)):
-                raise ValueError(f"{type(term).__name__}.apply makes loads.{name} NaN or infinite; expected numbers")
+            self._check_numbers(term, name, after)
+        for moment in self.point_moments.values():
+            self._check_numbers(term, "point_moments", moment)
+
+    def _check_numbers(self, term: Term, name: str, value: ca.SX) -> None:
+        """Raise ValueError where a ``term`` from elsewhere makes a sum, by ``name``, a ``value`` that is no number."""
+        if type(term).__module__.startswith("pisplit."):
+            return
+        entries: list[Any] = value.nonzeros()
+        if not np.all(np.isfinite([float(e) for e in entries if e.is_constant()])):
+            raise ValueError(f"{type(term).__name__}.apply makes loads.{name} NaN or infinite; expected numbers")
 
     def add_at(self, motion: Motion, s: float, force: ca.SX, moment: ca.SX) -> None:
         """Add a world force (3,) in N and moment (3,) in N m that act at arclength ``s``; see ``shares_below``.
@@ -126,9 +134,9 @@ class Loads:
             self.tip_moment += moment
         else:
             if s > 0.0:
-                shares = ca.DM(shares_below(motion, s))
-                self.point_force += force @ shares
-                self.stress_w -= motion.to_body(moment @ shares)
+                self.point_force += force @ ca.DM(shares_below(motion, s))
+                if moment.nnz():
+                    self.point_moments[s] = self.point_moments.get(s, ca.SX(3, 1)) + moment
             self.base_force += force
             self.base_moment += moment
 
