@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +16,19 @@ import numpy as np
 from generate_data import load_or_make
 from tqdm import tqdm
 
+from common.loops import HORIZON, TRIAL_JUMPS, Bench, Contest
 from common.pictures import animate, draw_shapes, draw_tracking
 from common.report import Report, parser, run
-from pisplit import Dictionary, Episodes, LiftedModel, LinearEDMDc, PhaseSamples, PIEDMDc
+from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
-from pisplit.controllers import MPC, ClosedLoop, FeedForward, LoopLog, references
+from pisplit.controllers import LoopLog, references
+from pisplit.models.arm.blocks import unordered
 from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.static_table import equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
 
 STATIONS = 6
 TEST_EPISODES = 4
-HORIZON = 20
-#: Weights of the input rate among which the tuning runs choose, per model; the one that is safe most often is first.
-RATE_WEIGHTS = (0.2, 0.02)
-#: Where the tuning runs jump to, from the tip at rest [m].
-TRIAL_JUMPS = ((-0.08, 0.06), (0.06, -0.08))
 #: Models for control: the largest penalty that costs at most 30 % of held-out roll-out error.
 CV_TOLERANCE = 0.3
 #: Penalties of the LASSO, in parts of the one that leaves the physical map alone; smaller ones leave no entry at it.
@@ -78,35 +74,6 @@ def fit_models(arm: TendonArm, physics: ArmPhysics, d1: Episodes, d2: PhaseSampl
     }
 
 
-def limits(arm: TendonArm) -> dict[str, Any]:
-    """Displacements within 15 mm of the rest position, 2 mm a step."""
-    return {"u_min": arm.pretension - 0.015, "u_max": arm.pretension + 0.015, "du_max": 0.002}
-
-
-def tuned_mpc(
-    arm: TendonArm, model: LiftedModel, loop: Callable[..., LoopLog], tip: np.ndarray, turns: int = len(TRIAL_JUMPS)
-) -> MPC:
-    """MPC with the rate weight that does best on trials: a smaller, slower circle than the one of the comparison, and
-    jumps as far as its set-point in two other directions: a model that is too bold for its errors does not come to
-    rest after some of them. Circle and jumps count alike. A weight that is worse already is not tried any further.
-    ``turns``: so many of the jumps are tried.
-    """
-    circle = references.circle(radius=0.06, period=6.0, center=tip[:2], approach=1.5)
-    jumps = [references.setpoint([[tip[0] + x, tip[1] + y, np.nan]], [0.3]) for x, y in TRIAL_JUMPS[:turns]]
-    trials = [(circle, 1.5, 1.0), *((jump, 3.0, 1.0 / len(jumps)) for jump in jumps)]
-    best, least = None, np.inf
-    for weight in RATE_WEIGHTS:
-        mpc, total = MPC(model, horizon=HORIZON, track="tip", rate_weight=weight, **limits(arm)), 0.0
-        for reference, after, share in trials:
-            error = loop(mpc, reference, 150).rms_error(after=after)
-            total += share * error if np.isfinite(error) else np.inf
-            if total >= least:
-                break
-        else:
-            best, least = mpc, total
-    return best if best is not None else mpc
-
-
 def main() -> None:
     """Data, models, closed loops, table, pictures."""
     given = arguments()
@@ -128,34 +95,21 @@ def main() -> None:
         report.figure(f"{name} open-loop squared shape error, median", errors.median, "m^2")
         report.figure(f"{name} divergent roll-outs", 100 * errors.diverged_fraction, "%")
 
-    simulator = arm.scene.fast_stepper(dt=every.dt, stations=STATIONS)
-    tip = simulator.reset(arm.rest_inputs)[list((d1.outputs or {})["tip"])]
-
-    def loop(controller: MPC | FeedForward, reference: references.Reference, steps: int) -> LoopLog:
-        run = ClosedLoop(plant=simulator, controller=controller)
-        log = run.run(reference, steps, u0=arm.rest_inputs, progress=False)
-        if log.interrupted:
-            raise KeyboardInterrupt
-        return log
-
-    controllers: dict[str, MPC | FeedForward] = {
-        "feed-forward": FeedForward(table.inverse, models["L-EDMDc"].lifted, **limits(arm))
-    }
+    bench = Bench(arm, every.dt, STATIONS)
     approach = given.period / 2
-    target = np.array([tip[0] + 0.08, tip[1] + 0.06, np.nan])
+    target = np.array([bench.tip[0] + 0.08, bench.tip[1] + 0.06, np.nan])
     tasks = {
-        "circle": references.circle(given.radius, given.period, center=tip[:2], approach=approach),
+        "circle": references.circle(given.radius, given.period, center=bench.tip[:2], approach=approach),
         "set-point": references.setpoint([target], [0.3]),
     }
-    runs: dict[str, dict[str, LoopLog]] = {task: {} for task in tasks}
-    with tqdm(total=len(models) + 3 * len(tasks), desc="closed loops", unit="run") as bar:
-        for name, model in models.items():
-            controllers[name] = tuned_mpc(arm, model.lifted, loop, tip, 1 if given.quick else len(TRIAL_JUMPS))
-            bar.update()
-        for task, reference in tasks.items():
-            for name, controller in controllers.items():
-                runs[task][name] = loop(controller, reference, given.steps)
-                bar.update()
+    turns = 1 if given.quick else len(TRIAL_JUMPS)
+    lifted = tuple(model.lifted for model in models.values())
+    contest = Contest(Bench(arm, every.dt, STATIONS), lifted, table, tasks, given.steps, turns)
+    found: dict[int, dict[str, LoopLog]] = {}
+    for k, logs in tqdm(unordered(contest, range(len(models) + 1)), "closed loops", len(models) + 1, unit="controller"):
+        found[k] = logs
+    order = {"feed-forward": len(models), **{name: k for k, name in enumerate(models)}}
+    runs = {task: {name: found[k][task] for name, k in order.items()} for task in tasks}
 
     print_table(report, runs, approach, length)
     given.out.mkdir(parents=True, exist_ok=True)
