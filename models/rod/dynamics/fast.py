@@ -14,6 +14,7 @@ from pisplit.checks import Array, positive
 from pisplit.models.rod.dynamics.collocation import Collocation
 from pisplit.models.rod.dynamics.march import March, Piece
 from pisplit.models.rod.dynamics.motion_check import reason
+from pisplit.models.rod.dynamics.simplified import SimplifiedNewton
 from pisplit.models.rod.dynamics.stepper import Stepper
 from pisplit.models.rod.dynamics.trajectory import Trajectory
 
@@ -21,14 +22,17 @@ if TYPE_CHECKING:
     from pisplit.models.rod.dynamics.integrator import Simulator
     from pisplit.models.rod.scene import Scene
 
-#: Newton corrections of a step, all with the matrix of its start.
-CORRECTIONS = 4
+#: Newton corrections of a step, all with one matrix.
+CORRECTIONS = 5
 #: Last correction of the strains in parts of their nominal size up to which a step converged.
 CONVERGED = 1e-3
 #: Defect at the start of a step up to which it is taken: see ``FastStepper``.
 SMALL_DEFECT = 0.01
-#: Lengths of calls, in steps; each is built once.
+#: Lengths of calls, in steps; each is built once. None is longer than what passed since a step that did not: the rest
+#: of a call is lost there.
 CALLS = (64, 16, 4, 1)
+#: A command bends sharply where it bends so many times as much as the median one.
+SHARP = 10.0
 #: How often a control interval is halved before IDAS takes it.
 MAX_HALVINGS = 9
 #: Error, in parts of the largest one allowed, below which the next step is twice as long.
@@ -56,7 +60,7 @@ class _Taken:
 class FastStepper(Stepper):
     """Motion of a scene in few large Radau steps, up to 64 of them in one CasADi call: for data, loops and predictions.
 
-    Every step starts from zero accelerations and takes four Newton corrections with one matrix. Its last correction and
+    Every step starts from zero accelerations and takes five Newton corrections with one matrix. Its last correction and
     its defect, what the balance misses at the start of the step in terms of strains, decide whether it is taken: the
     step with the largest defect of every call is done again in two halves, which tells what a defect is worth in
     metres; intervals with a large defect or an error of more than ``accuracy`` L, and those that do not converge, are
@@ -118,16 +122,15 @@ class FastStepper(Stepper):
         n, s = scene.n_strains, scheme.stages
         x, u0, u1, h, _ = scheme.symbols
         residual = scene.native(scene.motion_residual)
-        z = ca.MX(n, s)
-        inverse = scheme.inverse(x, u0, u1, h, z)
-        size = ca.MX(np.inf)
+        newton = SimplifiedNewton(scheme)
+        inverses, z, size = newton.inverses(x, u0, u1, h), ca.MX(n, s), ca.MX(np.inf)
         for _ in range(CORRECTIONS):
-            z, size = scheme.corrected(x, u0, u1, h, z, inverse)
+            z, size = newton.corrected(x, u0, u1, h, z, inverses)
         end = scheme.end(x, z, h)
         # The residual at the start as a force that acts over the step: how far it would bend the rod.
         first = z @ ca.DM(np.linalg.solve(np.vander(scheme.c).T, np.eye(s)[-1]))
         missed = residual(x[:n], x[n : 2 * n], first, ca.vertcat(x[2 * n :], u0))
-        bent = ca.reshape(inverse @ ca.vec(ca.repmat(missed, 1, s)), n, s) @ (scheme.b @ scheme.a)
+        bent = newton.applied(inverses, ca.repmat(missed, 1, s)) @ (scheme.b @ scheme.a)
         defect = h * h * ca.norm_2(bent / ca.DM(scene.nominal_strains)) / np.sqrt(scene.nodes)
         return ca.Function("one", [x, u0, u1, h], [end, size, defect])
 
@@ -191,17 +194,21 @@ class FastStepper(Stepper):
             return super()._as_far_as_possible(start, commands, energy)
         layout = self.scene.layout
         taken = self._last = _Taken()
-        x, before, size, depth = start[layout.moving], start[layout.inputs], CALLS[1], 0
+        x, before, passed, depth = start[layout.moving], start[layout.inputs], CALLS[1], 0
+        stops = _kinks(before, commands)
         while len(taken.rows) < len(commands) and not taken.message:
             k = len(taken.rows)
-            size = next(c for c in CALLS if c <= min(size, len(commands) - k))
+            alone = k in stops
+            ahead = 1 if alone else stops[np.searchsorted(stops, k)] - k
+            size = next(c for c in CALLS if c <= min(max(passed, 1), ahead))
             good = self._together(taken, x, before, commands[k : k + size])
             if good:
                 x, before = taken.rows[-1], commands[k + good - 1]
             if good < size:
                 depth = self._alone(taken, x, before, commands[k + good], depth)
                 x, before = taken.rows[-1] if taken.rows else x, commands[k + good]
-            size = 4 * size if good == size else 1
+            if not alone:
+                passed = passed + size if good == size else 0
         stats = {"nsteps": taken.steps, "halved": len(taken.halved), "idas": len(taken.idas)}
         return np.array(taken.rows).reshape(len(taken.rows), layout.n_moving), stats, taken.message
 
@@ -316,3 +323,14 @@ class FastStepper(Stepper):
             return found
         fallbacks = {"halved": tuple(taken.halved), "IDAS": tuple(taken.idas)}
         return replace(found, step_errors=np.array(taken.errors), fallbacks=fallbacks)
+
+
+def _kinks(before: Array, commands: Array) -> Array:
+    """Intervals at whose start the ``commands`` (T, n_inputs), from ``before`` on, bend sharply, and T at the end.
+
+    Inputs move linearly from command to command: most steps that do not pass begin where their slope jumps.
+    """
+    slopes = np.diff(np.vstack([before, commands]), axis=0, prepend=before[None])
+    jumps = np.linalg.norm(np.diff(slopes, axis=0), axis=1)
+    sharp = jumps > max(SHARP * float(np.median(jumps)), float(jumps.max(initial=0.0)) / SHARP**2)
+    return np.append(np.flatnonzero(sharp), len(commands))
