@@ -129,6 +129,23 @@ def test_inverse_statics_keeps_its_limits_and_says_when_a_place_is_out_of_reach(
         rod.Scene(BODY).statics().inverse([0.0, 0.0, 0.4])
 
 
+def test_inverse_says_where_loading_from_nothing_ends_instead() -> None:
+    """A bent strut under its weight falls to one side; pulled to the other it stays there when let go."""
+    bent = rod.Rod(0.5, rod.Circle(3e-3), rod.Elastic(1e7, 3.4e6, 1000.0), "planar", rest_curvature=(0.0, 0.2, 0.0))
+    scene = rod.Scene(bent, rod.Gravity((0.0, 0.0, -9.81)), rod.TipWrench(moment=rod.Input("m", 3)), nodes=8)
+    pull = np.array([0.0, -bent.stiffness[1] / bent.length, 0.0])
+    over, target = scene.statics().solve(pull), (-0.165, np.nan, np.nan)
+    found = scene.inverse(target, start=pull)
+    back = scene.statics().solve(found.u, over.state)
+    assert found.success and back.tip == pytest.approx(found.equilibrium.tip, abs=1e-7) and back.tip[0] < -0.14
+    there = scene.statics().solve(found.u)
+    assert there.success and there.tip[0] > 0.1
+    assert found.loaded == pytest.approx(np.linalg.norm(there.tip - back.tip), rel=1e-6)
+    assert f"ends {1e3 * found.loaded:.3g} mm away" in found.message
+    other = scene.inverse((0.19, np.nan, np.nan))
+    assert other.success and other.loaded < 1e-7 and not other.message
+
+
 def test_a_fixed_tip_needs_the_wrench_that_would_bring_it_there() -> None:
     force, moment = np.array([0.3, 0.4, -0.2]), np.array([0.02, -0.01, 0.015])
     scene = rod.Scene(BODY, rod.Gravity((-9.81, 0.0, 0.0)), nodes=6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -113,3 +115,24 @@ def test_it_is_the_wrench_alone_that_holds_the_tip() -> None:
     assert loaded.statics().search.worst(x, np.empty(0)) < 1e-8
     tip = scene.fields(held.state, [LENGTH])[0]
     assert tip[:3] == pytest.approx([0.05, 0.03, 0.2], abs=1e-8) and tip[3:12].reshape(3, 3) == pytest.approx(turn)
+
+
+@pytest.mark.parametrize(("strains", "clamped", "nodes"), [("planar", False, 4), ("kirchhoff", True, 5)])
+def test_a_held_tip_tells_whether_the_nodes_are_enough(strains: str, clamped: bool, nodes: int) -> None:
+    """The free rod is straight and resolved by any grid: it is the held one that is looked at."""
+    place, found, c, s = (0.4 * LENGTH, 0.0, 0.4 * LENGTH), [], np.cos(2.5), np.sin(2.5)
+    turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    for k in (nodes, 12):
+        statics = rod.Scene(body(strains), nodes=k).statics()
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found.append(statics.clamp_tip(place, turn) if clamped else statics.pin_tip(place))
+        assert found[-1].success
+        assert bool(said) == (k == nodes), k
+        assert all(w.category is rod.Unresolved and w.filename == __file__ for w in said)
+    shapes = [f.scene.fields(f.state, np.linspace(0.05, 1.0, 20) * LENGTH)[:, :3] for f in found]
+    shapes[0][:, 0] *= np.sign(shapes[0][9, 0] * shapes[1][9, 0])
+    off = np.linalg.norm(shapes[0] - shapes[1], axis=1).max() / LENGTH
+    assert found[0].error == pytest.approx(off, rel=0.35) and off > 2e-3
+    assert found[1].error < 1e-3
+    assert found[1].tip == pytest.approx(place, abs=1e-8)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
+
 import numpy as np
 
 from pisplit.checks import Array
@@ -19,3 +22,11 @@ def finite_answer(values: Array, what: str) -> Array:
 
 class Unresolved(UserWarning):
     """The nodes of a scene, or the steps in time, are too few for the shape or the motion."""
+
+
+def warn_unresolved(message: str) -> None:
+    """Warn with a ``message`` that names the line outside the package from which it was called."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).startswith("pisplit."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, Unresolved, stacklevel=level)

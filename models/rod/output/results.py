@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from pisplit.models.rod.dynamics.motion_error import MotionError
     from pisplit.models.rod.scene import Scene
-    from pisplit.models.rod.statics.boundary import FixedTipEquilibrium
     from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
+    from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium
 
 Path = str | os.PathLike[str] | None
 #: Shapes of a batch that are drawn as ghosts.

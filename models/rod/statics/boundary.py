@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,30 +11,31 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.brief import brief
 from pisplit.checks import Array, finite_array
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.branch import RESTING, told
 from pisplit.models.rod.statics.certificate import without_energy
 from pisplit.models.rod.statics.descent import descend
+from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium
 from pisplit.models.rod.statics.held import HeldJudge
+from pisplit.models.rod.statics.journey import Journey, checked_rotation, rotations, wound
 from pisplit.models.rod.statics.path import Event, Walk, walk
+from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE
 from pisplit.models.rod.statics.twisted import doubt
 from pisplit.models.rod.statics.whitened import Way
+from pisplit.models.rod.terms.held import HeldTip
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from scipy.spatial.transform import Rotation
 
-    from pisplit.models.rod.scene import Scene
-    from pisplit.models.rod.statics.equilibrium import Equilibrium
     from pisplit.models.rod.statics.search import Search
     from pisplit.models.rod.statics.whitened import Whitened
 
 _FORCE, _MOMENT = "force at the tip", "moment at the tip"
+_PLACE, _TURN = "place of the tip", "turn of the tip"
 #: Unit of the multipliers in EI/L^2 and EI/L: the Euler load of a clamped strut, so that they compare with angles.
 UNIT = 4.0 * np.pi**2
 #: Least singular value of the conditions, in parts of the largest, at which the tip can be moved in every direction.
@@ -46,66 +46,6 @@ FIRST_WAY, FIRST_BEND = 0.1, 0.5
 NEUTRAL = 1e-6
 #: Step of differences along the way.
 STEP = 1e-5
-
-
-@brief
-@dataclass(frozen=True)
-class FixedTipEquilibrium:
-    """An equilibrium whose tip is pinned (its position is prescribed) or clamped (its rotation too).
-
-    Attributes:
-        state: [xi, 0, u] (n_states,).
-        force: (3,) in N and moment: (3,) in N m at the tip, in world axes; the moment of a pinned tip is zero.
-        success: whether balance and pose are met by a stable shape; message: why not, or where stability was lost on
-            the way to it.
-        residual: largest error of balance (parts of EI/L) and pose (parts of L, rad).
-        stable: whether no deformation that leaves the tip in its place goes on by itself.
-        branch: ``"followed"``, ``"snapped"``, ``"given"`` or ``"unverified"`` as in ``Equilibrium``, for the motion of
-            the tip from where it started.
-        load_factor: part of the way of the tip at which stability was lost first; 1 if it was not.
-        scene: the scene in equilibrium.
-    """
-
-    state: Array
-    force: Array
-    moment: Array
-    success: bool
-    residual: float
-    message: str
-    stable: bool = False
-    branch: str = "unverified"
-    load_factor: float = 1.0
-    scene: Scene = field(repr=False, compare=False, kw_only=True)
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """The shape and the force at its tip; written to ``path`` where one is given."""
-        from pisplit.models.rod.output.results import plot_fixed_tip
-
-        return plot_fixed_tip(self, path)
-
-
-@dataclass(frozen=True)
-class Journey:
-    """How the tip goes from one pose to another: straight on, at a constant turn, about itself if it is twisted.
-
-    Attributes:
-        start, goal: positions (3,) in m.
-        frame: rotation at the start; turn: rotation vector (3,) to that of the goal, in the axes of the start.
-        turns: about the axis of the tip, beside that.
-    """
-
-    start: Array
-    goal: Array
-    frame: Rotation
-    turn: Array
-    turns: float
-
-    def at(self, t: float) -> Array:
-        """Position and columns of the rotation (12,) at ``t``, 0 at the start and 1 at the goal."""
-        turned = _rotation().from_rotvec
-        spun = turned([0.0, 0.0, 2.0 * np.pi * self.turns * t])
-        now = (self.frame * turned(t * self.turn) * spun).as_matrix()
-        return np.concatenate([self.start + t * (self.goal - self.start), now.ravel(order="F")])
 
 
 class FixedTip(Rebuilt):
@@ -159,6 +99,26 @@ class FixedTip(Rebuilt):
         outputs = [residual, pose, *map(ca.densify, slopes)]
         return ca.Function("errors", [x, many, u, ca.vertcat(p, ca.vec(turn))], outputs)
 
+    @cached_property
+    def _resolution(self) -> Resolution:
+        """Tells whether the nodes are enough, with the tip held where it is."""
+        turn = Input(_TURN, 3) if self.clamped else None
+        return Resolution(self.scene + HeldTip(Input(_PLACE, 3), turn, "".join("xyz"[k] for k in self.axes)))
+
+    def _posed(self, state: Array) -> Array:
+        """``state`` (n_states,) with the pose of its tip as inputs."""
+        place, frame = self._pose_of(state)
+        return np.concatenate([state, place, *([frame.as_rotvec()] if self.clamped else [])])
+
+    def error(self, state: Array) -> float:
+        """Estimated error of the grid at a ``state`` (n_states,) at rest whose tip is held: see ``Resolution``."""
+        return self._resolution.error(self._posed(state))
+
+    def check(self, found: FixedTipEquilibrium) -> None:
+        """Warn if the nodes do not resolve what was ``found``."""
+        if found.success:
+            self._resolution.check(self._posed(found.state)[None])
+
     def _wrench(self, multipliers: Any, turn: Any, force: Any, moment: Any) -> tuple[Any, Any]:
         """World force and moment, (3,) each, of multipliers; ``force`` and ``moment`` come as zeros."""
         for k, axis in enumerate(self.axes):
@@ -189,9 +149,11 @@ class FixedTip(Rebuilt):
 
     def _pose(self, y: Array, u: Array) -> tuple[Array, Rotation]:
         n = self.scene.n_strains
-        state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
+        return self._pose_of(self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u))
+
+    def _pose_of(self, state: Array) -> tuple[Array, Rotation]:
         fields = self.scene.fields(state, [self.scene.rod.length])[0]
-        return fields[:3], _rotation().from_matrix(fields[3:12].reshape(3, 3))
+        return fields[:3], rotations().from_matrix(fields[3:12].reshape(3, 3))
 
     def _held(self, y: Array, u: Array) -> tuple[Array, float]:
         """Unknowns at the strains ``y`` with the multipliers that hold them best, and the force that is left."""
@@ -284,7 +246,7 @@ class FixedTip(Rebuilt):
             y, settled = descend(self._still(y, u), y, 0.0, self.judge)
             events.append(Event(0.0, "bifurcation", settled))
         place, frame = self._pose(y, u)
-        turn = np.zeros(3) if wanted is None else _wound((frame.inv() * wanted).as_rotvec(), frame, vector)
+        turn = np.zeros(3) if wanted is None else wound((frame.inv() * wanted).as_rotvec(), frame, vector)
         journey = Journey(place, goal, frame, turn, turns)
         if events and not events[0].at_rest:
             return self._found(Walk(y, 0.0, False, tuple(events)), u, journey)
@@ -372,43 +334,6 @@ class FixedTip(Rebuilt):
             stable=walked.success,
             branch=branch if success else "unverified",
             load_factor=first if success or branch == "given" else min(first, walked.t),
+            clamped=self.clamped,
             scene=self.scene,
         )
-
-
-def after(found: FixedTipEquilibrium, free: Equilibrium) -> FixedTipEquilibrium:
-    """``found`` by moving the tip of a ``free`` rod; if that had lost stability under its loads, it says so."""
-    if not found.success or free.branch != "snapped" or found.branch == "snapped":
-        return found
-    return replace(
-        found, branch="snapped", load_factor=0.0, message=f"before its tip was moved, the rod {free.message}"
-    )
-
-
-def _wound(turn: Array, frame: Rotation, vector: Array | None) -> Array:
-    """``turn`` (3,) with as many whole turns more as the rotation ``vector`` (3,) in world axes has.
-
-    It leads from ``frame``, in its axes, to where ``vector`` leads from the unloaded tip.
-    """
-    whole = 0.0 if vector is None else float(np.linalg.norm(vector))
-    if vector is None or whole <= np.pi:
-        return turn
-    wanted = frame.inv().apply(vector)
-    size = float(np.linalg.norm(turn))
-    axis = turn / size if size > 1e-9 else wanted / whole
-    return turn + 2.0 * np.pi * np.round((wanted - turn) @ axis / (2.0 * np.pi)) * axis
-
-
-def checked_rotation(rotation: ArrayLike) -> Rotation:
-    """A rotation matrix (3, 3) as a rotation. Raises ValueError for a matrix ``rotation`` that is none."""
-    wanted = finite_array(rotation, "rotation", (3, 3))
-    if np.abs(wanted @ wanted.T - np.eye(3)).max() > 1e-6 or np.linalg.det(wanted) < 0.0:
-        raise ValueError("rotation is not a rotation matrix; give R with R R^T = I and det R = 1")
-    return _rotation().from_matrix(wanted)
-
-
-def _rotation() -> type[Rotation]:
-    """Rotations of scipy, which are slow to load, and needed where a tip is held alone."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation

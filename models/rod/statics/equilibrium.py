@@ -17,9 +17,36 @@ if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
 
+class Shape:
+    """Reads a state at rest.
+
+    Attributes:
+        state: [xi, 0, u] (n_states,).
+        scene: the scene that it is of.
+    """
+
+    state: Array
+    scene: Scene
+
+    @property
+    def strains(self) -> Array:
+        """Free strains xi (n_strains,): 1/m for bending and torsion, 1 for shear and stretch."""
+        return self.state[: self.scene.n_strains]
+
+    def pose(self, s: float) -> tuple[Array, Array]:
+        """Position (3,) in m and rotation (3, 3) at arclength ``s`` in m."""
+        y = self.scene.field_map([s]).evaluate(self.state)[0]
+        return y[:3], y[3:12].reshape(3, 3)
+
+    @property
+    def tip(self) -> Array:
+        """Position of the tip (3,) in m."""
+        return self.pose(self.scene.rod.length)[0]
+
+
 @brief
 @dataclass(frozen=True)
-class Equilibrium:
+class Equilibrium(Shape):
     """A static equilibrium, or the best that was found.
 
     Attributes:
@@ -67,21 +94,6 @@ class Equilibrium:
         That of the grid alone. Infinite for a search that failed.
         """
         return self.scene.statics().error(self.state) if self.success else float("inf")
-
-    @property
-    def strains(self) -> Array:
-        """Free strains xi (n_strains,): 1/m for bending and torsion, 1 for shear and stretch."""
-        return self.state[: self.scene.n_strains]
-
-    def pose(self, s: float) -> tuple[Array, Array]:
-        """Position (3,) in m and rotation (3, 3) at arclength ``s`` in m."""
-        y = self.scene.field_map([s]).evaluate(self.state)[0]
-        return y[:3], y[3:12].reshape(3, 3)
-
-    @property
-    def tip(self) -> Array:
-        """Position of the tip (3,) in m."""
-        return self.pose(self.scene.rod.length)[0]
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """The shape with its tendons coloured by tension; written to ``path`` where one is given."""

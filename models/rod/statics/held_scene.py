@@ -12,9 +12,11 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
-from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium, Journey, after
+from pisplit.models.rod.statics.boundary import FixedTip
 from pisplit.models.rod.statics.equilibrium import Equilibrium
+from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium, after
 from pisplit.models.rod.statics.jointed import JointedScene
+from pisplit.models.rod.statics.journey import Journey
 from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.held import HeldTip
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 60
 #: Largest shift of the tip in parts of the length that one step asks of the linear model.
 TRUST = 0.1
+#: Distance of two tips in parts of the length up to which they are one.
+SAME = 1e-6
 
 
 @brief
@@ -32,8 +34,10 @@ class InverseSolution:
         u: (n_inputs,), within the limits.
         equilibrium: the equilibrium under ``u``.
         error: distance in m from the coordinates asked for.
-        success: whether ``error`` is within the tolerance; message: why not, empty on success.
+        success: whether ``error`` is within the tolerance; message: why not, or that ``loaded`` is another place.
         iterations: Gauss-Newton steps.
+        loaded: distance in m from ``equilibrium``, which the inputs reach from ``start``, to the tip that loading the
+            rod from nothing to ``u`` reaches; 0 where these are one, NaN where that is not known.
     """
 
     u: Array
@@ -42,6 +46,7 @@ class InverseSolution:
     success: bool
     message: str
     iterations: int
+    loaded: float = 0.0
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """The shape under ``u``; written to ``path`` where one is given."""
@@ -100,7 +105,23 @@ def inverse(
     error = float(np.linalg.norm(away))
     if message:
         message = f"{message}: the tip stays {1e3 * error:.3g} mm away"
-    return InverseSolution(u, equilibrium, error, not message, message, taken)
+        return InverseSolution(u, equilibrium, error, False, message, taken)
+    loaded = _loaded(statics, equilibrium, u)
+    if loaded > max(10.0 * reach, SAME * length):
+        message = (
+            f"there by moving the inputs from start to u; loading from nothing to u ends {1e3 * loaded:.3g} mm away"
+        )
+    elif np.isnan(loaded):
+        message = "there by moving the inputs from start to u; where loading from nothing to u ends is not known"
+    return InverseSolution(u, equilibrium, error, True, message, taken, loaded)
+
+
+def _loaded(statics: Statics, found: Equilibrium, u: Array) -> float:
+    """Distance in m from the tip that was ``found`` to that under ``u`` (n_inputs,) loaded from nothing."""
+    if found.branch == "unique":
+        return 0.0
+    again = statics.solve(u)
+    return float(np.linalg.norm(again.tip - found.tip)) if again.success else float("nan")
 
 
 def _limits(limits: ArrayLike | None, m: int) -> tuple[Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit.checks import Array
-from pisplit.models.rod.answers import Unresolved
+from pisplit.models.rod.answers import warn_unresolved
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.refinement import MOST, cut_at, grids, places_of_jumps
 from pisplit.models.rod.statics.twisted import doubt
@@ -103,7 +102,7 @@ class Resolution(Rebuilt):
         self.checked = float(bent[worst])
         twisted = doubt(self.scene, states[worst])
         if twisted:
-            warnings.warn(twisted, Unresolved, stacklevel=5)
+            warn_unresolved(twisted)
         error = self.error(states[worst])
         if error > CAUTION * COARSE:
             if self._bends_at_disks:
@@ -112,7 +111,7 @@ class Resolution(Rebuilt):
                 what = self._told(self.would_do(states[worst], FINE))
             few = _shortest(self.scene.element_nodes)
             told = f"{few} nodes do not resolve this shape: off by {error:.1g} of the length along the rod; {what}"
-            warnings.warn(told, Unresolved, stacklevel=5)
+            warn_unresolved(told)
 
     @cached_property
     def _bends_at_disks(self) -> bool:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,14 +12,16 @@ from pisplit.checks import Array, finite_array, real_array
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
-from pisplit.models.rod.statics.boundary import FixedTip, FixedTipEquilibrium, after
-from pisplit.models.rod.statics.branch import RESTING, Branches, Verdict
+from pisplit.models.rod.statics.boundary import FixedTip
+from pisplit.models.rod.statics.branch import Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
+from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium, after
 from pisplit.models.rod.statics.held_scene import HeldScene
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
 from pisplit.models.rod.statics.jointed import JointedScene
 from pisplit.models.rod.statics.resolution import Resolution
-from pisplit.models.rod.statics.search import TOLERANCE, Search, attempt
+from pisplit.models.rod.statics.rows import follow_rows, one_by_one, solve_rows
+from pisplit.models.rod.statics.search import TOLERANCE, Search
 from pisplit.models.rod.terms.base import joint_of
 from pisplit.models.rod.terms.held import held_tip
 
@@ -81,7 +81,7 @@ class Statics(Rebuilt):
         return self.search.kinsol
 
     @cached_property
-    def _readings(self) -> ca.Function:
+    def readings(self) -> ca.Function:
         """``(xi, u) -> tensions, lengths, unpulled lengths`` of the tendons."""
         xi, u, balance = self.scene.static_balance
         empty = ca.SX(0, 1)
@@ -123,9 +123,9 @@ class Statics(Rebuilt):
             x, iterations, solver = verdict.x, None, "path"
             residual = search.worst(x, u)
         success = bool(residual <= TOLERANCE and verdict.branch != "unverified")
-        tensions, slack = self._read(x, u)
+        tensions, slack = self.read(x, u)
         state = scene.at_rest(search.strains(x), u)
-        self._check(state[None], success)
+        self.check(state[None], success)
         return Equilibrium(
             state=state,
             success=success,
@@ -146,8 +146,8 @@ class Statics(Rebuilt):
         found = held.solve(u, start)
         strains = found.state[: self.scene.n_strains]
         state = self.scene.at_rest(strains, u)
-        self._check(state[None], found.success)
-        tensions, slack = self._read(self.search.scaled(strains), u)
+        self.check(state[None], found.success)
+        tensions, slack = self.read(self.search.scaled(strains), u)
         return Equilibrium(
             state=state,
             success=found.success,
@@ -160,23 +160,6 @@ class Statics(Rebuilt):
             stable=found.stable,
             branch=found.branch,
             load_factor=found.load_factor,
-            scene=self.scene,
-        )
-
-    def _one_by_one(self, rows: Array, near: Array | None, follow: bool, progress: bool) -> EquilibriumBatch:
-        """Equilibria (N) under rows of inputs, from states ``near`` (N, n_states), or each from the one before it."""
-        found: list[Equilibrium] = []
-        last: Array | None = None
-        for k, u in enumerate(_bar(rows, disable=not progress, desc="equilibria", unit="row")):
-            found.append(self.solve(u, last if near is None else near[k]))
-            last = found[-1].state if follow and found[-1].success else last
-        return EquilibriumBatch(
-            np.array([f.state for f in found]).reshape(len(rows), self.scene.n_states),
-            np.array([f.success for f in found], dtype=bool),
-            np.array([f.residual for f in found]),
-            np.array([f.tensions for f in found]).reshape(len(rows), -1),
-            np.array([f.branch for f in found], dtype=str),
-            np.array([f.load_factor for f in found]),
             scene=self.scene,
         )
 
@@ -207,46 +190,11 @@ class Statics(Rebuilt):
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
-        scene, search = self.scene, self.search
-        rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
+        rows = self.scene.checked_inputs(inputs, "U", (None, self.scene.n_inputs))
+        states = None if near is None else finite_array(near, "near", (len(rows), self.scene.n_states))
         if self.held is not None or self.jointed is not None:
-            given = None if near is None else finite_array(near, "near", (len(rows), scene.n_states))
-            return self._one_by_one(rows, given, False, progress)
-        found = np.empty((len(rows), scene.n_strains))
-        worst = np.empty(len(rows))
-        mild, resting = all(self.branches.unique(u) for u in rows), np.zeros(len(rows), dtype=bool)
-        if near is None:
-            guess = self._affine_guess(rows)
-        else:
-            states = finite_array(near, "near", (len(rows), scene.n_states))
-            strains, *_, before = scene.layout.split(states)
-            guess = search.scaled(strains)
-            resting = search.worst_of_rows(guess, before) <= RESTING
-        for start in _bar(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
-            block = rows[start : start + chunk]
-            x = np.asarray(search.of_rows(len(block), mild)(guess[start : start + chunk].T, block.T)).T
-            found[start : start + len(block)] = x
-            worst[start : start + len(block)] = search.worst_of_rows(x, block)
-        branch, factor, zero = np.full(len(rows), "unique", dtype=object), np.ones(len(rows)), np.zeros(scene.n_strains)
-        open_rows = np.flatnonzero(worst > TOLERANCE) if mild else np.arange(len(rows))
-        for k in _bar(open_rows, disable=not progress or mild, desc="branches", unit="row"):
-            x, u = found[k].copy(), rows[k]
-            if resting[k]:
-                verdict = self.branches.of_state(x, u, guess[k], before[k], worst[k] <= TOLERANCE)
-            else:
-                if worst[k] > TOLERANCE:
-                    x, _, _ = search.find(u, zero, self.branches.unique(u))
-                verdict = self.branches.of_root(x, u, search.worst(x, u) <= TOLERANCE)
-            found[k], worst[k] = verdict.x, search.worst(verdict.x, u)
-            branch[k], factor[k] = verdict.branch, verdict.load_factor
-        strains = search.strains(found)
-        readings = self._readings.map(len(rows)) if len(rows) else None
-        tensions = np.asarray(readings(strains.T, rows.T)[0]).T if readings else np.empty((0, 0))
-        states = scene.at_rest(strains, rows)
-        branch[worst > TOLERANCE] = "unverified"
-        self._check(states, branch != "unverified")
-        good, told = branch != "unverified", branch.astype(str)
-        return EquilibriumBatch(states, good, worst, tensions, told, factor, scene=self.scene)
+            return one_by_one(self, rows, states, False, progress)
+        return solve_rows(self, rows, states, chunk, progress)
 
     @in_turn()
     def sweep(self, inputs: ArrayLike) -> EquilibriumBatch:
@@ -257,32 +205,10 @@ class Statics(Rebuilt):
         Args:
             inputs: (N, n_inputs) in the order of the path.
         """
-        scene, search = self.scene, self.search
-        rows = scene.checked_inputs(inputs, "U", (None, scene.n_inputs))
+        rows = self.scene.checked_inputs(inputs, "U", (None, self.scene.n_inputs))
         if self.held is not None or self.jointed is not None:
-            return self._one_by_one(rows, None, True, False)
-        found, tensions = np.empty((len(rows), scene.n_strains)), []
-        worst, factor = np.empty(len(rows)), np.ones(len(rows))
-        branch = np.full(len(rows), "unverified", dtype=object)
-        x, before = np.zeros(scene.n_strains), None
-        for k, u in enumerate(rows):
-            guess = x if before is None else x + search.along(x, before, u - before)
-            candidate = attempt(search.newton, guess, u)
-            converged = search.worst(candidate, u) <= TOLERANCE
-            if before is None:
-                verdict = self.branches.of_root(candidate, u, converged)
-            else:
-                verdict = self.branches.of_state(candidate, u, x, before, converged)
-            found[k] = verdict.x
-            worst[k] = search.worst(found[k], u)
-            if worst[k] <= TOLERANCE and verdict.branch != "unverified":
-                x, before, branch[k] = found[k], u, verdict.branch
-            factor[k] = verdict.load_factor
-            tensions.append(self._read(found[k], u)[0])
-        states = scene.at_rest(search.strains(found), rows)
-        self._check(states, branch != "unverified")
-        good, told = branch != "unverified", branch.astype(str)
-        return EquilibriumBatch(states, good, worst, np.array(tensions), told, factor, scene=self.scene)
+            return one_by_one(self, rows, None, True, False)
+        return follow_rows(self, rows)
 
     # What an equilibrium depends on ----------------------------------------------------------------------------------
 
@@ -413,16 +339,22 @@ class Statics(Rebuilt):
             start, rests = free.state, free.success
         else:
             free, start, rests = None, self.search.strains(self._scaled(guess)), False
+        tip = self.fixed_tip(clamped)
+        found = tip.solve(inputs, position, rotation, twist, start, rests)
+        tip.check(found)
+        return found if free is None else after(found, free)
+
+    def fixed_tip(self, clamped: bool) -> FixedTip:
+        """What moves the tip: ``clamped``, or pinned."""
         if clamped not in self._fixed_tips:
             self._fixed_tips[clamped] = FixedTip(self.branches.whitened, clamped)
-        found = self._fixed_tips[clamped].solve(inputs, position, rotation, twist, start, rests)
-        return found if free is None else after(found, free)
+        return self._fixed_tips[clamped]
 
     @cached_property
     def _fixed_tips(self) -> dict[bool, FixedTip]:
         return {}
 
-    def _check(self, states: Array, success: np.ndarray | bool) -> None:
+    def check(self, states: Array, success: np.ndarray | bool) -> None:
         """Warn if the nodes do not resolve the most bent of the ``states`` (N, n_states) that were found."""
         self.resolution.check(states[np.broadcast_to(success, len(states))])
 
@@ -437,19 +369,9 @@ class Statics(Rebuilt):
 
     # Guesses and readings --------------------------------------------------------------------------------------------
 
-    def _affine_guess(self, rows: Array) -> Array:
-        """Guesses (N, n) affine in u, fitted to the equilibria of the first rows: a third of a zero guess's steps."""
-        n, pilots = self.scene.n_strains, 4 * (self.scene.n_inputs + 1)
-        if len(rows) < 4 * pilots:
-            return np.zeros((len(rows), n))
-        solved = np.array([self.search.find(u, np.zeros(n), self.branches.unique(u))[0] for u in rows[:pilots]])
-        lift = np.hstack([np.ones((pilots, 1)), rows[:pilots]])
-        coefficients = np.linalg.lstsq(lift, solved, rcond=None)[0]
-        return np.asarray(coefficients[0] + rows @ coefficients[1:])
-
-    def _read(self, x: Array, u: Array) -> tuple[Array, Array]:
+    def read(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Tensions in N and slack in m of every tendon; tendons driven by tension are never slack."""
-        tension, length, unpulled = (np.asarray(v).ravel() for v in self._readings(self.search.strains(x), u))
+        tension, length, unpulled = (np.asarray(v).ravel() for v in self.readings(self.search.strains(x), u))
         return tension, np.maximum(0.0, unpulled - length)
 
     def _scaled(self, guess: ArrayLike) -> Array:
@@ -460,11 +382,3 @@ class Statics(Rebuilt):
                 f"or {self.scene.n_strains} (strains)"
             )
         return self.search.scaled(finite_array(values[: self.scene.n_strains], "guess", (None,)))
-
-
-def _bar(items: Iterable[Any], **options: Any) -> Iterable[Any]:
-    """``items`` with a bar of progress."""
-    from tqdm import tqdm  # slow to load, and of no use to a single equilibrium
-
-    bar: Iterable[Any] = tqdm(items, **options)
-    return bar
