@@ -152,9 +152,17 @@ def test_a_motion_that_ends_early_is_checked_as_far_as_it_goes_or_says_that_it_c
 
 
 def test_the_figures_of_an_error() -> None:
-    error = MotionError(np.array([1e-3, 1e-3, 3e-3, 2e-3]), 1.0)
-    assert error.largest == 3e-3 and error.of_travel == 3e-3
-    assert error.first_above(1e-3) == 1 and error.first_above(2.5e-3) is None
+    there = np.zeros((4, 2, 3))
+    here = there + np.array([1e-3, 1e-3, 3e-3, 2e-3])[:, None, None] * np.array([0.0, 0.0, 1.0])
+    here[1, 0] = there[1, 0] = [0.0, 0.0, 1.001]  # goes there and back
+    error = MotionError.between(here, there)
+    assert error.largest == pytest.approx(3e-3) and error.of_travel == pytest.approx(3e-3)
+    assert error.drift == pytest.approx([0.0, 1e-3, 2e-3, 1e-3])
+    assert error.first_above(1.5e-3) == 1 and error.first_above(2.5e-3) is None
     assert error.first_above(1e-3, least=2.5e-3) is None
-    assert MotionError(np.array([0.0, 0.0]), 0.0).of_travel == 0.0
-    assert MotionError(np.array([0.0, 1.0]), 0.0).of_travel == float("inf")
+    turned = np.array([[[1e-3, 0.0, 0.0]], [[0.0, 1e-3, 0.0]]])  # as far off, elsewhere
+    assert MotionError.between(turned, 0.0 * turned).drift[1] == pytest.approx(np.sqrt(2.0) * 1e-3)
+    still = np.zeros((2, 1, 3))
+    assert MotionError.between(still, still).of_travel == 0.0
+    moved = np.array([0.0, 1.0])[:, None, None] + still
+    assert MotionError.between(still, moved).of_travel == float("inf")

@@ -24,8 +24,8 @@ def moved(motion: Motion) -> Trajectory:
 
 
 def grown(error: MotionError) -> float:
-    """Largest error beyond that at the start, in parts of the travel."""
-    return float((error.distance - error.distance[0]).max()) / error.travel
+    """Largest error of a way since the start, in parts of the travel."""
+    return float(error.drift.max()) / error.travel
 
 
 @pytest.mark.parametrize(

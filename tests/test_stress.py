@@ -46,7 +46,7 @@ def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path: Path, monkeypatch:
     assert not list(tmp_path.iterdir())
 
 
-@settings(max_examples=14, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(scenes())
 def test_random_scenes_end_with_a_clean_status(described: Description) -> None:
     """Statics and two steps of motion: finite states, and success or one line that says why not."""
@@ -123,6 +123,6 @@ def test_what_is_off_without_a_word_is_wrong() -> None:
 
 
 def test_a_case_of_the_full_arm_is_solved() -> None:
-    case = next(c for c in sweeps(quick=True, seed=0) if c["sweep"] == "full arm: slack and taut in turn")
+    case = next(c for c in sweeps(quick=False, seed=0) if c["sweep"] == "full arm: tip load" and c["load"] == 1.0)
     found = work(case)
     assert found["outcome"] in ("ok", "flagged") and found["error"] < 0.3

@@ -205,8 +205,7 @@ def _run(scene: rod.Scene, dt: float, u: Array, start: Array | None = None) -> d
     if not finer.success:
         return found
     error = motion_error(run, finer)
-    grown = float((error.distance - error.distance[0]).max())
-    found["error"] = grown / max(error.travel, 1e-300)
+    found["error"] = float(error.drift.max()) / max(error.travel, 1e-300)
     if error.first_above(equilibria.ALLOWED, 1e-7 * scene.rod.length) is not None and not told:
         return found | {"outcome": "wrong", "message": f"off by {found['error']:.1e} of the travel without a word"}
     return found

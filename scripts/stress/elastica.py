@@ -140,7 +140,7 @@ def followed(scene: rod.Scene, u: Array, steps: int = 40) -> tuple[Array | None,
     x, rate, factor, step = np.array(scene.rest_coordinates), np.zeros(scene.n_strains), 0.0, 1.0 / steps
     while factor < 1.0:
         step = min(step, 1.0 - factor)
-        found = _newton(at, x + step * rate, factor + step)
+        found = _newton(at, x + step * rate, factor + step, scene.nominal_strains)
         if found is None or np.abs((found - x) / scene.nominal_strains).max() > 1.0:
             step *= 0.5
             if step < SMALLEST:
@@ -152,13 +152,13 @@ def followed(scene: rod.Scene, u: Array, steps: int = 40) -> tuple[Array | None,
     return scene.at_rest(x, u), 1.0
 
 
-def _newton(at: Callable[[Array, float], tuple[Array, Array]], x: Array, factor: float) -> Array | None:
+def _newton(at: Callable[[Array, float], tuple[Array, Array]], x: Array, factor: float, unit: Array) -> Array | None:
     for _ in range(8):
         r, j = at(x, factor)
         change = np.linalg.solve(j, r)
         x = x - change
         if not np.isfinite(x).all():
             return None
-        if np.abs(r).max() < 1e-9:
+        if np.abs(r).max() < 1e-9 or np.abs(change / unit).max() < 1e-12:  # forces of stiff strains are round
             return x
     return None

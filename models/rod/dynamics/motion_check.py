@@ -54,7 +54,8 @@ def checked_first(plant: Propagation, found: Trajectory) -> tuple[MotionError | 
     wrong.insert(0, told(plant, _grown(in_time), plant.remedy))
     error = None
     if in_space is not None and len(part.t) == len(long.t) == len(found.t):
-        error = replace(in_space, distance=in_space.distance + in_time.distance / SEEN)
+        distance, drift = in_space.distance + in_time.distance / SEEN, in_space.drift + in_time.drift / SEEN
+        error = replace(in_space, distance=distance, drift=drift)
     return error, "; ".join(w for w in wrong if w)
 
 
@@ -64,7 +65,8 @@ def _first(found: Trajectory, steps: int) -> Trajectory:
 
 def _grown(error: MotionError) -> MotionError:
     """An error of which the part ``SEEN`` is seen; what the start is off by is."""
-    return replace(error, distance=error.distance[0] + (error.distance - error.distance[0]) / SEEN)
+    distance = error.distance[0] + (error.distance - error.distance[0]) / SEEN
+    return replace(error, distance=distance, drift=error.drift / SEEN)
 
 
 def checked(plant: Propagation, found: Trajectory) -> tuple[MotionError | None, str]:

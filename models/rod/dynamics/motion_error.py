@@ -27,10 +27,22 @@ class MotionError:
     Attributes:
         distance: (T+1,) m, largest along the rod, from the motion on the finer grid.
         travel: m, farthest that any point of the rod gets from where it starts.
+        drift: (T+1,) m, largest along the rod by which the ways of a point since the start differ: what the start is
+            off by is not in it.
     """
 
     distance: Array
     travel: float
+    drift: Array
+
+    @classmethod
+    def between(cls, here: Array, there: Array) -> MotionError:
+        """That of the positions ``here`` (T+1, S, 3) beside those of the finer motion, ``there``, in m."""
+        off = here - there
+        distance, drift = (
+            np.nan_to_num(np.linalg.norm(o, axis=2).max(axis=1), nan=np.inf) for o in (off, off - off[0])
+        )
+        return cls(distance, float(np.linalg.norm(here - here[0], axis=2).max()), drift)
 
     @property
     def largest(self) -> float:
@@ -45,12 +57,12 @@ class MotionError:
         return 0.0 if self.largest == 0.0 else float("inf")
 
     def first_above(self, share: float, least: float = 0.0) -> int | None:
-        """First step after which the distance grew by more than ``share`` of the travel and ``least`` (m), or None.
+        """First step after which the drift is more than ``share`` of the travel and ``least`` (m), or None.
 
         What both shapes differ by at the start is an error of the equilibrium or of the given state, which is told
         there; motions of less than that are not judged.
         """
-        above = np.flatnonzero(self.distance > max(share * self.travel, least) + self.distance[0])
+        above = np.flatnonzero(self.drift > max(share * self.travel, least))
         return int(above[0] - 1) if len(above) else None
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -70,5 +82,4 @@ def motion_error(found: Trajectory, finer: Trajectory) -> MotionError:
     points = found.scene.rod.length * np.arange(1, POINTS + 1) / POINTS
     last = min(len(found.t), len(finer.t))
     here, there = (motion.fields(points)[:last, :, :3] for motion in (found, finer))
-    far = np.linalg.norm(here - here[0], axis=2)
-    return MotionError(np.linalg.norm(here - there, axis=2).max(axis=1), float(far.max()))
+    return MotionError.between(here, there)

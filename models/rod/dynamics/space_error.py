@@ -71,8 +71,7 @@ class SpaceError(Rebuilt):
             np.asarray(shapes.map(steps)(shape.T, inputs.T)).T.reshape(steps, POINTS, 3)
             for shapes, shape in zip(self.resolution.shapes, (strains, states[0] + deviation), strict=True)
         )
-        distance = np.nan_to_num(np.linalg.norm(here - there, axis=2).max(axis=1), nan=np.inf)
-        return MotionError(distance, float(np.linalg.norm(here - here[0], axis=2).max()))
+        return MotionError.between(here, there)
 
     def _flow(self, motion: Array, u: Array, dt: float) -> Array:
         """(q, q + 2 n) from the deviation, the defect and its change over ``dt`` to the deviation ``dt`` later."""

@@ -355,7 +355,7 @@ class Statics(Rebuilt):
         return {}
 
     def check(self, states: Array, success: np.ndarray | bool) -> None:
-        """Warn if the nodes do not resolve the most bent of the ``states`` (N, n_states) that were found."""
+        """Warn if the nodes do not resolve the most bent of the ``states`` (N, n_states) of ``success`` (N,)."""
         self.resolution.check(states[np.broadcast_to(success, len(states))])
 
     @in_turn()
@@ -370,7 +370,10 @@ class Statics(Rebuilt):
     # Guesses and readings --------------------------------------------------------------------------------------------
 
     def read(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Tensions in N and slack in m of every tendon; tendons driven by tension are never slack."""
+        """Tensions in N and slack in m of every tendon at scaled strains ``x`` (n_strains,) under ``u`` (n_inputs,).
+
+        Tendons driven by tension are never slack.
+        """
         tension, length, unpulled = (np.asarray(v).ravel() for v in self.readings(self.search.strains(x), u))
         return tension, np.maximum(0.0, unpulled - length)
 
