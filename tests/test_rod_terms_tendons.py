@@ -120,7 +120,7 @@ def shooting_tip(route: rod.Helix | rod.Line, tension: float, backbone: rod.Rod)
 
     def end(wrench: np.ndarray) -> np.ndarray:
         start = np.concatenate([np.zeros(3), np.eye(3).ravel(), wrench])
-        return solve_ivp(fun, (0.0, LENGTH), start, "DOP853", rtol=1e-9, atol=1e-9).y[:, -1]
+        return solve_ivp(fun, (0.0, LENGTH), start, "DOP853", rtol=1e-7, atol=1e-9).y[:, -1]
 
     def miss(x: np.ndarray) -> np.ndarray:
         y = end(x * scale)
@@ -299,3 +299,25 @@ def test_slack_tendons_of_a_weak_rod_leave_it_as_straight_as_those_of_a_stiff_on
         shapes.append(found.strains)
     assert shapes[0] == pytest.approx(shapes[1], abs=1e-9)
     assert rod.Displacement(1e-4).tension(1.0, 1.0, 0.0) == pytest.approx(0.1 * np.log(2.0))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_a_tendon_stretches_outside_the_rod_too(friction: float) -> None:
+    """Equal pulls on both sides: tau c (L - u + o) = u. Bent over disks: c (sum h tau + o tau_0) is the stretch."""
+    c, outside, u = 1e-4, 0.3, 2e-3
+    drive = rod.Displacement(c, outside=outside)
+    straight = rod.Scene(body("planar"), rod.Tendons.parallel(0.01, (0, 180), drive, friction=friction), nodes=3)
+    even = straight.statics().solve([u, u])
+    assert even.tensions == pytest.approx(u / (c * (LENGTH - u + outside)), rel=1e-6)
+    if friction:
+        elements = {"elements": (LENGTH / 4,) * 4}
+        over = rod.Tendons.parallel(0.01, (0, 180), drive, friction=friction, disks=4)
+        scene = rod.Scene(body("planar", **elements), over, nodes=2)
+        found = scene.statics().solve([u, 0.0])
+        xi, inputs, balance = scene.static_balance
+        names = ("chord_tension", "length", "unpulled_length")
+        read = ca.Function("read", [xi, inputs], [balance.loads.outputs[name] for name in names])
+        tension, length, slack_at = (np.asarray(v).ravel() for v in read(found.strains, [u, 0.0]))
+        carried = c * (LENGTH / 4 * tension[:4].sum() + outside * tension[0])
+        share = (slack_at[0] + outside) / (LENGTH + outside)  # of the unstretched tendon
+        assert found.tensions[0] > tension[3] and carried * share == pytest.approx(length[0] - slack_at[0], rel=1e-6)

@@ -129,7 +129,7 @@ def nominal_parameters(arm: TendonArm) -> TendonParameters:
     ):
         raise ValueError("calibration takes parallel tendons with a displacement drive; give start for others")
     m = len(tendons.offsets)
-    stiffness = 1.0 / (tendons.drive.compliance * arm.scene.rod.length)
+    stiffness = 1.0 / (tendons.drive.compliance * (arm.scene.rod.length + tendons.drive.outside))
     return TendonParameters(
         offset=np.array([np.asarray(o, float) for o in tendons.offsets]),
         stiffness=np.full(m, stiffness),

@@ -119,13 +119,13 @@ class Motion:
 
     def frames_at(self, points: Sequence[float]) -> list[ca.SX]:
         """Rotations R at arclengths. ``points`` in m."""
-        return self.rod.strain_set.frames(self.w, self.rule, points, self._steps)
+        return self.rod.strain_set.frames(self.w, self.rule, points, self._steps, self.rod.kinks)
 
     @cached_property
     def _steps(self) -> list[ca.SX]:
         if self.shape is not None:
             return self.shape._steps
-        return self.rod.strain_set.steps(self.w, self.rule, self.base.quaternion)
+        return self.rod.strain_set.steps(self.w, self.rule, self.base.quaternion, self.rod.kinks)
 
     @property
     def tip_frame(self) -> ca.SX:

@@ -19,6 +19,9 @@ from pisplit.models.rod.kinematics.rotations import compose, exponential, rotati
 #: Order of the six strain components: bending about body axes 1 and 2, torsion, shear along 1 and 2, stretch.
 COMPONENTS = ("w1", "w2", "w3", "v1", "v2", "v3")
 
+#: Arclengths in m and the rotation vectors in rad by which the rod turns there, in the axes of the section before.
+Kinks = Sequence[tuple[float, Sequence[float]]]
+
 #: Nodes of an element from which on its frames take steps of sixth order.
 SIXTH_ORDER = 6
 
@@ -60,32 +63,41 @@ class StrainSet:
             full[component] = values[row]
         return full[:3], full[3:]
 
-    def steps(self, w_nodes: ca.SX, rule: Rule, base: ca.SX) -> list[ca.SX]:
+    def steps(self, w_nodes: ca.SX, rule: Rule, base: ca.SX, kinks: Kinks = ()) -> list[ca.SX]:
         """Quaternions (4,) at ``rule.step_ends`` from the strains ``w`` at the nodes (3, K) and that of the base.
 
         Magnus steps from node to node, see ``rotation_vector``. Planar rods need none.
 
-        ``w_nodes`` are these strains.
+        ``w_nodes`` are these strains; the rod turns by the ``kinks`` at ends of its elements, beyond which they count.
         """
         ends = [base]
         if not self.planar:
             for start, end in pairwise(rule.step_ends):
-                ends.append(compose(ends[-1], _turn(w_nodes, rule, start, end)))
+                turned = compose(ends[-1], _turn(w_nodes, rule, start, end))
+                for place, vector in kinks:
+                    if abs(end - place) < 1e-9 * rule.length:
+                        turned = compose(turned, exponential(ca.SX(ca.DM(list(vector)))))
+                ends.append(turned)
         return ends
 
-    def frames(self, w_nodes: ca.SX, rule: Rule, s: Sequence[float], steps: Sequence[ca.SX]) -> list[ca.SX]:
+    def frames(
+        self, w_nodes: ca.SX, rule: Rule, s: Sequence[float], steps: Sequence[ca.SX], kinks: Kinks = ()
+    ) -> list[ca.SX]:
         """Rotation matrices at arclengths ``s`` from ``steps``, the quaternions at ``rule.step_ends``.
 
         Planar rods integrate the angle exactly. Otherwise one more Magnus step leads from the last node to each
         arclength, so that a frame does not depend on which others are asked for.
 
-        ``w_nodes`` (3, K) are the strains w at the nodes.
+        ``w_nodes`` (3, K) are the strains w at the nodes, ``kinks`` those of ``steps``.
         """
         if self.planar:
             base = ca.sparsify(rotation_matrix(steps[0]))
-            return [
-                base @ rotation_about_y(ca.mtimes(ca.DM(row[None, :]), w_nodes[1, :].T)) for row in rule.integrate_to(s)
-            ]
+            angles = [ca.mtimes(ca.DM(row[None, :]), w_nodes[1, :].T) for row in rule.integrate_to(s)]
+            for place, vector in kinks:
+                angles = [
+                    a + vector[1] if p > place - 1e-9 * rule.length else a for a, p in zip(angles, s, strict=True)
+                ]
+            return [base @ rotation_about_y(angle) for angle in angles]
         ends = rule.step_ends
         frames = []
         for point in s:

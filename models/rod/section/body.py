@@ -57,6 +57,8 @@ class Rod:
         rest_curvature: (w1, w2, w3) of the unloaded rod in 1/m in body axes, or a function s -> (3,).
         elements: lengths in m of elements in a row, which add up to L. Strains are smooth within an element and may
             jump at its border: put one where the section, its slope or a load jumps. Empty: one element.
+        kinks: pairs (s, vector) of an arclength in m at which an element ends and the rotation vector (3,) in rad, in
+            the axes of the section before, by which the rod turns there rigidly; a section at s is the one behind.
     """
 
     length: float
@@ -65,6 +67,7 @@ class Rod:
     strains: str | StrainSet = "kirchhoff"
     rest_curvature: Curvature = field(default=(0.0, 0.0, 0.0), metadata=OPTION)
     elements: tuple[float, ...] = field(default=(), metadata=OPTION)
+    kinks: tuple[tuple[float, tuple[float, ...]], ...] = field(default=(), metadata=OPTION)
 
     def __post_init__(self) -> None:
         positive(self.length, "Rod length", "m")
@@ -78,6 +81,19 @@ class Rod:
         rest = self.profile(ends).rest
         if self.strain_set.planar and np.any(rest[[0, 2]]):
             raise ValueError("a planar rod is curved in its plane only; rest_curvature must be (0, w2, 0)")
+        object.__setattr__(self, "kinks", self._checked_kinks())
+
+    def _checked_kinks(self) -> tuple[tuple[float, tuple[float, ...]], ...]:
+        ends, found = np.cumsum(self.elements)[:-1], []
+        for place, vector in self.kinks:
+            if not np.any(np.abs(ends - place) < 1e-9 * self.length):
+                raise ValueError(f"Rod kinks at s = {place:g} m; expected the end of an element: give elements= too")
+            turn = finite_array(vector, f"Rod kinks at s = {place:g} m", (3,)).tolist()
+            if self.strain_set.planar and (turn[0] or turn[2]):
+                raise ValueError("a planar rod turns in its plane only; kinks must be (s, (0, angle, 0))")
+            if any(turn):
+                found.append((float(place), tuple(turn)))
+        return tuple(found)
 
     def _check_elements(self) -> None:
         lengths = tuple(positive(e, f"Rod elements[{k}]", "m") for k, e in enumerate(self.elements))

@@ -44,28 +44,31 @@ IN_PLANE = 1e-12
 class Displacement:
     """Each tendon is pulled by a displacement u_i in m (positive pulls): tension from its elastic stretch.
 
-    ``tau_i = max(0, (l_i - l*_i) / (c l*_i))`` with ``l*_i = L_i - u_i`` and the path length ``l_i``; a slack tendon
-    carries nothing. The corner at slack is rounded.
+    ``tau_i = max(0, (l_i - l*_i) / (c (l*_i + o)))`` with ``l*_i = L_i - u_i``, the path length ``l_i``, and the length
+    o outside the rod; a slack tendon carries nothing. The corner at slack is rounded.
 
     Args:
         compliance: c in 1/N, strain of the tendon per newton.
         slack_smoothing: tension in N over which slack sets in; at the corner the tension is off by 0.69 of it. When not
             given, that of a strain of 1e-5, which suits tendons of any stiffness.
+        outside: length o in m of each tendon between motor and base, which stretches too; without friction.
     """
 
     compliance: float
     slack_smoothing: float | None = None
+    outside: float = 0.0
 
     def __post_init__(self) -> None:
         positive(self.compliance, "Displacement compliance", "1/N")
         if self.slack_smoothing is not None:
             positive(self.slack_smoothing, "Displacement slack_smoothing", "N")
+        non_negative(self.outside, "Displacement outside", "m")
 
     def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
         """Tension in N of one tendon with path length ``length``, unpulled length ``rest`` and displacement ``u``."""
         unstretched = self.unstretched(length, rest, u)
         smoothing = SLACK_STRAIN / self.compliance if self.slack_smoothing is None else self.slack_smoothing
-        return softplus((length - unstretched) / (self.compliance * unstretched), smoothing)
+        return softplus((length - unstretched) / (self.compliance * (unstretched + self.outside)), smoothing)
 
     def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
         """Length in m at which the tendon just carries nothing.
@@ -75,8 +78,9 @@ class Displacement:
         return rest - u
 
     def describe(self) -> str:
-        """Law and compliance."""
-        return f"displacement drive, compliance {self.compliance:g} 1/N"
+        """Law, compliance and length outside the rod."""
+        beyond = f", {self.outside:g} m outside the rod" if self.outside else ""
+        return f"displacement drive, compliance {self.compliance:g} 1/N{beyond}"
 
 
 @dataclass(frozen=True)
@@ -246,7 +250,8 @@ class Tendons(TendonTerm):
             if self.friction > 0.0:
                 decay = ca.exp(-self.friction * turned_angle(a, norm, motion, n))
                 if isinstance(self.drive, Displacement):
-                    tension = tension * float(np.sum(motion.rule.weights[:n])) / (decay @ weights)
+                    outside, inside = self.drive.outside, float(np.sum(motion.rule.weights[:n]))
+                    tension = tension * (inside + outside) / (decay @ weights + outside)
                 along = ca.repmat(tension * decay, 3, 1)
             pull = ca.horzcat(along * a / ca.repmat(norm, 3, 1), ca.SX(3, k - n))
             loads.stress_v += pull
@@ -274,7 +279,8 @@ class Tendons(TendonTerm):
             if rubs:
                 decay = falling(angles[:, i], self.friction, slip if isinstance(slip, float) else slip[:, i])
                 if isinstance(self.drive, Displacement):
-                    at_base = tension * float(chords.spacing.sum()) / ca.dot(decay, ca.DM(chords.spacing))
+                    outside, inside = self.drive.outside, float(chords.spacing.sum())
+                    at_base = tension * (inside + outside) / (ca.dot(decay, ca.DM(chords.spacing)) + outside)
                 along = at_base * decay
             tensions.append(along)
             slack_at = self.drive.unstretched(length, float(unpulled[i]), u[i])
@@ -315,6 +321,10 @@ class Tendons(TendonTerm):
         ``rod`` and ``rule``, its nodes, are those of the scene.
         """
         n = self._n_loaded(rule)
+        if rod.kinks and (self.disks is not None or self.friction):
+            raise ValueError(
+                "Tendons with disks or friction do not pass the kinks of a Rod; give disks=None, friction=0"
+            )
         check_routes(self.offsets, rule, n, rod.length, "Tendons")
         places = rule.nodes[:n] if self.disks is None else self.holes(rod.length)
         for route in self.offsets:
