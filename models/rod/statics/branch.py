@@ -77,6 +77,10 @@ class Branches(Rebuilt):
         """Whether there is only one equilibrium under ``u`` (n_inputs,), as far as can be proved."""
         return SAFE * self.certificate.unique_below(u) >= 1.0
 
+    def all_unique(self, rows: Array) -> bool:
+        """Whether there is only one equilibrium under each of ``rows`` (N, n_inputs), as far as can be proved."""
+        return bool(np.all(SAFE * self.certificate.unique_below_of_rows(rows) >= 1.0))
+
     def of_root(self, x: Array, u: Array, converged: bool) -> Verdict:
         """The equilibrium that loading from nothing reaches, given a candidate.
 

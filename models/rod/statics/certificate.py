@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit.checks import Array
+from pisplit.mapping import Mapped
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.terms.base import Base
 from pisplit.models.rod.terms.buoyancy import Buoyancy
@@ -65,9 +66,15 @@ class Certificate(Rebuilt):
 
     def bound(self, u: Array) -> float:
         """Lower bound of the stiffness under inputs ``u`` (n_inputs,): 1 without loads, -inf where none is known."""
-        if not self._usable or (len(self._tensions) and np.min(u[self._tensions]) < 0.0):
-            return -np.inf
-        return self._constant if self._constant is not None else self._bound(u)
+        return float(self.bounds(u[None])[0])
+
+    def bounds(self, rows: Array) -> Array:
+        """The same (N,) under each of ``rows`` (N, n_inputs)."""
+        if not self._usable:
+            return np.full(len(rows), -np.inf)
+        bounds = np.full(len(rows), self._constant) if self._constant is not None else self._bounds(rows)
+        slack = rows[:, self._tensions].min(axis=1, initial=0.0) < 0.0
+        return np.where(slack, -np.inf, bounds)
 
     def unique_below(self, u: Array) -> float:
         """Load factor up to which the equilibrium under ``u`` (n_inputs,) is unique; 0 where nothing is known."""
@@ -76,6 +83,12 @@ class Certificate(Rebuilt):
         if self._last is None or not np.array_equal(self._last[0], u):
             self._last = u.copy(), _factor(self.bound(u))
         return self._last[1]
+
+    def unique_below_of_rows(self, rows: Array) -> Array:
+        """The same (N,) of ``rows`` (N, n_inputs)."""
+        if self._always is not None:
+            return np.full(len(rows), self._always)
+        return np.array([_factor(bound) for bound in self.bounds(rows).tolist()])
 
     @cached_property
     def _always(self) -> float | None:
@@ -107,11 +120,11 @@ class Certificate(Rebuilt):
         return float(np.prod([t.kept_stiffness for t in self.scene.terms if isinstance(t, TendonTerm)]))
 
     @cached_property
-    def _resultant(self) -> ca.Function:
+    def _resultant(self) -> Mapped:
         """``u -> |N|`` at the nodes."""
         _, u, balance = self.scene.static_balance
         force = balance.internal_force
-        return ca.Function("resultant", [u], [ca.densify(ca.sqrt(ca.sum1(force * force)))])
+        return Mapped(ca.Function("resultant", [u], [ca.densify(ca.sqrt(ca.sum1(force * force)))]))
 
     @cached_property
     def _constant(self) -> float | None:
@@ -119,12 +132,13 @@ class Certificate(Rebuilt):
         _, u, balance = self.scene.static_balance
         if ca.depends_on(ca.vec(balance.internal_force), u):
             return None
-        return self._bound(np.zeros(self.scene.n_inputs))
+        return float(self._bounds(np.zeros((1, self.scene.n_inputs)))[0])
 
-    def _bound(self, u: Array) -> float:
-        force = np.asarray(self._resultant(u)).ravel()
+    def _bounds(self, rows: Array) -> Array:
+        force = self.scene.rule.weights * self._resultant(rows)
         turn = self._turn
-        return 1.0 - float(np.linalg.eigvalsh(turn.T @ ((self.scene.rule.weights * force)[:, None] * turn))[-1])
+        largest = np.linalg.eigvalsh(turn.T @ (force[:, :, None] * turn))[:, -1]
+        return 1.0 - np.asarray(largest, dtype=np.float64)
 
     @cached_property
     def _turn(self) -> Array:

@@ -55,7 +55,7 @@ def solve_rows(statics: Statics, rows: Array, near: Array | None, chunk: int, pr
     scene, search, branches = statics.scene, statics.search, statics.branches
     found = np.empty((len(rows), scene.n_strains))
     worst = np.empty(len(rows))
-    mild, resting = all(branches.unique(u) for u in rows), np.zeros(len(rows), dtype=bool)
+    mild, resting = branches.all_unique(rows), np.zeros(len(rows), dtype=bool)
     if near is None:
         guess = _affine_guess(statics, rows)
     else:
@@ -80,8 +80,8 @@ def solve_rows(statics: Statics, rows: Array, near: Array | None, chunk: int, pr
         found[k], worst[k] = verdict.x, search.worst(verdict.x, u)
         branch[k], factor[k] = verdict.branch, verdict.load_factor
     strains = search.strains(found)
-    readings = statics.readings.map(len(rows)) if len(rows) else None
-    tensions = np.asarray(readings(strains.T, rows.T)[0]).T if readings else np.empty((0, 0))
+    readings = statics.readings(strains, rows)
+    tensions = readings[:, : readings.shape[1] // 3]
     branch[worst > TOLERANCE] = "unverified"
     return _checked(statics, scene.at_rest(strains, rows), branch, worst, tensions, factor)
 

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from pisplit.checks import Array
+from pisplit.mapping import Mapped
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.memoryless import Memoryless
 
@@ -80,9 +81,13 @@ class Search(Rebuilt):
         scaled: Array = (strains - self.scene.rest_coordinates) / self.scene.nominal_strains
         return scaled
 
+    @cached_property
+    def _evaluated(self) -> Mapped:
+        return Mapped(self.scene.native(self.residual_function))
+
     def residual(self, x: Array, u: Array) -> Array:
         """Residual (n_strains,) of unknowns ``x`` (n_strains,) under inputs ``u`` (n_inputs,)."""
-        return np.asarray(self.scene.native(self.residual_function)(x, u)).ravel()
+        return self._evaluated(x[None], u[None])[0]
 
     def worst(self, x: Array, u: Array) -> float:
         """Largest residual of ``x`` under ``u``; infinite where it is not finite."""
@@ -91,8 +96,8 @@ class Search(Rebuilt):
 
     def worst_of_rows(self, x: Array, u: Array) -> Array:
         """The same (N,) of rows ``x`` (N, n_strains) under rows ``u`` (N, n_inputs)."""
-        g = np.abs(np.asarray(self.scene.native(self.residual_function).map(len(x))(x.T, u.T)))
-        worst: Array = np.where(np.isfinite(g), g, np.inf).max(axis=0, initial=0.0)
+        g = np.abs(self._evaluated(x, u))
+        worst: Array = np.where(np.isfinite(g), g, np.inf).max(axis=1, initial=0.0)
         return worst
 
     # Rootfinders -----------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, finite_array, real_array
+from pisplit.mapping import Mapped
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
@@ -81,12 +82,12 @@ class Statics(Rebuilt):
         return self.search.kinsol
 
     @cached_property
-    def readings(self) -> ca.Function:
-        """``(xi, u) -> tensions, lengths, unpulled lengths`` of the tendons."""
+    def readings(self) -> Mapped:
+        """``(xi, u) -> `` tensions, lengths and unpulled lengths of the tendons, behind one another."""
         xi, u, balance = self.scene.static_balance
         empty = ca.SX(0, 1)
         outputs = [balance.loads.outputs.get(name, empty) for name in ("tension", "length", "unpulled_length")]
-        return ca.Function("readings", [xi, u], outputs)
+        return Mapped(ca.Function("readings", [xi, u], [ca.vertcat(*outputs)]))
 
     def _need_clamp(self) -> None:
         if self.scene.n_joint:
@@ -374,7 +375,7 @@ class Statics(Rebuilt):
 
         Tendons driven by tension are never slack.
         """
-        tension, length, unpulled = (np.asarray(v).ravel() for v in self.readings(self.search.strains(x), u))
+        tension, length, unpulled = self.readings(self.search.strains(x)[None], u[None]).reshape(3, -1)
         return tension, np.maximum(0.0, unpulled - length)
 
     def _scaled(self, guess: ArrayLike) -> Array:
