@@ -43,6 +43,8 @@ ROUNDINGS, SHIFTS = (1e-5, 1e-3, 1e-1), (0.05, -0.05)
 #: Width of the figure-eight [m], its time [s]; steps of approach, times round.
 WIDTH, PERIOD, APPROACH, ROUNDS = 0.04, 8.0, 40, 2
 DELAYS = 4
+#: Rounding [mm] and lateness [s] of a log, whether it is moved by what was told of it before, RMS to reach [mm].
+Case = tuple[float, float, "str | None", "float | None"]
 MODELS = {"L-EDMDc": LinearEDMDc, "B-EDMDc": BilinearEDMDc}
 RIDGES = tuple(np.logspace(-9, 0, 10).tolist())
 
@@ -75,25 +77,38 @@ def recorded(arm: TendonArm, episodes: int, seconds: float, seed: int) -> list[M
     return made
 
 
-def logged(folder: Path, motions: list[Motion], rounding: float, late: float) -> Episodes:
-    """Files of cameras and servos in a folder, and what one call loads of them; its warnings are printed."""
+def logged(
+    folder: Path, motions: list[Motion], rounding: float, late: float, shift: float | None = None, units: bool = True
+) -> Episodes:
+    """Files of cameras and servos in a folder, and what one call loads of them; its warnings are printed.
+
+    ``shift`` [s] is added to the times of commands; None leaves it to what the data tell. Without ``units`` columns
+    name none.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    inputs = [f"tendons[{k}]" for k in range(motions[0].commands.shape[1])]
+    inputs, unit = [f"tendons[{k}]" for k in range(motions[0].commands.shape[1])], " (mm)" if units else ""
+    size = 1.0 if units else 1e-3  # of the files' numbers in mm
     for number, motion in enumerate(motions):
         t = 10.0 + DT / FRAMES * np.arange(len(motion.markers))
-        rows = np.column_stack([t, 1e3 * motion.markers])
-        head = ",".join(["Time (s)", *(f"{name} (mm)" for name in MARKERS)])
-        np.savetxt(folder / f"camera{number}.csv", rows, "%.5f", ",", header=head, comments="")
+        rows = np.column_stack([t, 1e3 * size * motion.markers])
+        head = ",".join(["Time (s)", *(f"{name}{unit}" for name in MARKERS)])
+        np.savetxt(folder / f"camera{number}.csv", rows, "%.8f", ",", header=head, comments="")
         sent = 10.0 + DT * np.arange(len(motion.commands)) + late
-        rounded = rounding * np.round(1e3 * motion.commands / rounding)
-        head = ",".join(["Time (s)", *(f"{name} (mm)" for name in inputs)])
+        rounded = size * rounding * np.round(1e3 * motion.commands / rounding)
+        head = ",".join(["Time (s)", *(f"{name}{unit}" for name in inputs)])
         np.savetxt(
-            folder / f"servo{number}.csv", np.column_stack([sent, rounded]), "%.8f", ",", header=head, comments=""
+            folder / f"servo{number}.csv", np.column_stack([sent, rounded]), "%.9f", ",", header=head, comments=""
         )
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         found = Episodes.from_csv(
-            str(folder / "camera*.csv"), "Time", MARKERS, inputs, commands=str(folder / "servo*.csv"), dt=DT
+            str(folder / "camera*.csv"),
+            "Time",
+            MARKERS,
+            inputs,
+            commands=str(folder / "servo*.csv"),
+            dt=DT,
+            command_shift=shift,
         )
     for text in dict.fromkeys(str(w.message) for w in said):
         print(f"  {text}")
@@ -174,6 +189,7 @@ def draw(found: dict[str, tuple[Array, Array]], path: Path) -> None:
 def main() -> None:
     """Record, log, load, fit, tune and track, for roundings and clocks."""
     made = parser((__doc__ or "").splitlines()[0], "out/drawn-arm")
+    made.add_argument("--no-units", action="store_true", help="files whose columns name no unit; they are in m")
     made.add_argument("--front", action="store_true", help="by identify alone, told nothing but the logs")
     given = made.parse_args()
     arm = drawn()
@@ -181,17 +197,22 @@ def main() -> None:
     episodes, steps = (6, 200) if given.quick else (10, APPROACH + ROUNDS * round(PERIOD / DT))
     motions = recorded(arm, episodes, 10.0, given.seed)
     report = Report.of("an arm from a drawing, by its logs alone", given)
-    cases = [(rounding, 0.0, 0.3) for rounding in ROUNDINGS] + [(1e-3, late, 0.5) for late in SHIFTS]
+    cases: list[Case] = [(rounding, 0.0, None, 0.3) for rounding in ROUNDINGS]
+    cases += [(1e-3, SHIFTS[0], None, 0.5), (1e-3, SHIFTS[1], None, None), (1e-3, SHIFTS[1], "as told", 0.5)]
     cases = cases[1:2] + cases[3:4] if given.quick else cases
     found: dict[str, tuple[Array, Array]] = {}
-    for number, (rounding, late, target) in enumerate(cases):
+    told = 0.0
+    for number, (rounding, late, shift, target) in enumerate(cases):
         clock = f"{1e3 * abs(late):.0f} ms {'late' if late > 0.0 else 'early'}" if late else "right"
-        label = f"rounded to {rounding:g} mm, clock {clock}"
+        label = f"rounded to {rounding:g} mm, clock {clock}{', moved' if shift else ''}"
         print(f"{label}:")
-        d1 = logged(given.out / f"logs{number}", motions, rounding, late)
+        folder = given.out / f"logs{number}"
+        d1 = logged(folder, motions, rounding, late, told if shift else None, not given.no_units)
         origin = d1.provenance or {}
-        if late:
+        if late and not shift:
+            told = origin["latency"] or 0.0
             report.figure(f"{label}: shift that was made", 1e3 * origin["command_shift"], "ms")
+            report.figure(f"{label}: delay that is left and told", 1e3 * told, "ms")
         train, held = d1[: episodes - 2], d1[episodes - 2 :]
         for name, kind in MODELS.items() if not given.front else [("identify", None)]:
             if kind is None:
@@ -201,7 +222,9 @@ def main() -> None:
             found[f"{name}, {label}"] = true, wanted
             error = 1e3 * float(np.sqrt(np.mean(np.sum((true - wanted)[20:] ** 2, axis=1))))
             print(f"  {name}: {error:.3f} mm")
-            report.figure(f"{label}: {name}, RMS of the true tip", error, "mm", ("<=", target))
+            report.figure(
+                f"{label}: {name}, RMS of the true tip", error, "mm", None if target is None else ("<=", target)
+            )
     draw(found, given.out / "paths.png")
     report.write(given.json)
     print(f"\n{report}\n\nlogs and picture in {given.out}: paths.png")

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 VISIBLE = 0.3
 #: where it is known to so many steps, and commands changed so often: a few changes tell anything.
 SHARP, CHANGES = 2.5, 30
+#: A motion that begins later than so many times its error is told.
+CLEARLY = 1.5
 
 
 def found(xs: Sequence[Array], us: Sequence[Array], dt: float) -> dict[str, Any]:
@@ -29,7 +31,9 @@ def found(xs: Sequence[Array], us: Sequence[Array], dt: float) -> dict[str, Any]
     if sum(int((np.diff(u, axis=0) != 0.0).any(axis=1).sum()) for u in us) < CHANGES:
         return {}
     latency = find_latency(xs, us, dt)
-    if latency.delay is None or latency.residual > (1.0 - VISIBLE) * latency.usual or latency.error > SHARP * dt:
+    if latency.delay is None or latency.error > SHARP * dt:
+        return {}
+    if latency.residual > (1.0 - VISIBLE) * latency.usual and not latency.begins:
         return {}
     text = said(latency, dt)
     if text:
@@ -47,9 +51,10 @@ def said(latency: Latency, dt: float) -> str:
             f"the motion comes {-late:.0f} ms (within {within:.0f} ms) before its commands: are they stamped late? "
             f"command_shift={latency.delay:.3g} moves them, command_shift=0 keeps them"
         )
-    if latency.delay > max(latency.error, dt):
+    if latency.delay > (CLEARLY * latency.error if latency.begins else max(latency.error, dt)):
         return (
             f"the motion follows its commands by {late:.0f} ms (within {within:.0f} ms): of the robot, which MPC takes "
-            f"as command_delay={latency.delay / dt:.2g}, or of clocks, which command_shift={latency.delay:.3g} mends"
+            f"as command_delay={latency.delay / dt:.2g}, or of commands stamped early, by so much at most, which "
+            f"command_shift={latency.delay:.3g} mends"
         )
     return ""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.data.onset import find_onset, rounded
 from pisplit.data.suspicions import noise_level
 
 Array = NDArray[np.float64]
@@ -23,12 +24,17 @@ STRETCH, PAIRS = 10, 6_000
 QUIET = 1e-3
 #: Components of the states are used from so many times the noise on; noise is averaged away to this part of the steps.
 HEARD, AUDIBLE = 3.0, 0.05
+#: Commands move along a direction if by more than this part of the largest.
+DIRECTION = 0.03
 #: Pairs that move by more than so many of the largest usual steps are spikes of a sensor, not motion.
 SPIKE = 4.0
 #: One tap of the commands is enough if its residual exceeds that of two by no more than this part.
 ENOUGH = 0.05
 #: A delay is told only where it predicts better than the usual one by this part.
-VISIBLE = 0.02
+VISIBLE = 0.1
+#: Where the best delay does not predict the next sample by this part better than the usual one, motion is looked at
+#: over all commands.
+SAMPLES = 0.3
 #: A delay that is not known to this part of what was tried is not told.
 CLEAR = 0.5
 #: Motion that its own past predicts to this residual, whatever the delay, does not show what commands do.
@@ -46,6 +52,7 @@ class Latency:
     residual  root mean square of one-step residuals at ``delay``, over that of steps themselves
     usual     the median of it over all delays that were tried
     tried     (G, 2) delays in s and residuals
+    begins    whether it is the time at which the motion begins, found over all samples where the next one does not tell
     """
 
     delay: float | None
@@ -53,6 +60,7 @@ class Latency:
     residual: float
     usual: float
     tried: Array
+    begins: bool = False
 
     def __str__(self) -> str:
         if self.delay is None:
@@ -63,6 +71,9 @@ class Latency:
 
 def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency:
     """Scan the delay between commands and motion: that at which a linear map predicts the next sample best.
+
+    Where no delay predicts it much better than the others, because of noise or of motion that goes on by itself, the
+    delay is that after which commands tell anything of the motion (:func:`pisplit.data.onset.find_onset`).
 
     The map takes four samples of up to 16 principal components of the states, each weighed by its noise, and the
     command, shifted by a delay that need not be whole steps; it is fitted to one half of the pairs and judged on the
@@ -96,11 +107,15 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
                 best, least = candidate, value
         step *= 0.5
     tried = np.column_stack([dt * grid, curve])
+    if usual >= ALONE and least > (1.0 - SAMPLES) * usual:
+        onset = None if rounded(us) else find_onset(*data.whole, reach)
+        if onset is not None and onset.error <= CLEAR * reach:
+            return Latency(dt * onset.delay, dt * onset.error, least, usual, tried, True)
     if usual < ALONE or not least < (1.0 - VISIBLE) * usual:
         return Latency(None, np.inf, least, usual, tried)
     alike = grid[curve**2 <= least**2 * (1.0 + 40.0 / data.judged)]
     error = max(1.0 + min(1.0, 3.0 * least), float(np.abs(alike - best).max(initial=0.0)))
-    told = error <= max(2.0, CLEAR * reach)
+    told = error <= max(2.0, CLEAR * reach) and abs(best) <= reach - 1.0  # beyond the end there may be a better one
     return Latency(dt * best if told else None, dt * error if told else np.inf, least, usual, tried)
 
 
@@ -119,15 +134,30 @@ def _averaged(z: Array, u: Array, reach: int) -> tuple[Array, Array]:
     return smooth[0], smooth[1]
 
 
+def _components(
+    xs: Sequence[Array], us: Sequence[Array], middle: Array, scale: Array, axes: Array
+) -> tuple[list[Array], list[Array]]:
+    """Components of the states along ``axes`` (r, n), and the commands along the directions in which they move."""
+    u = np.concatenate(list(us))
+    mean = u.mean(axis=0)
+    _, sizes, directions = np.linalg.svd(u - mean, full_matrices=False)
+    moved = directions[sizes > DIRECTION * sizes[0]].T
+    return [((x - middle) / scale) @ axes.T for x in xs], [(v - mean) @ moved for v in us]
+
+
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs far from the ends of their episodes: histories (N, h), steps (N, r), commands around each (N, w, m)."""
+    """Pairs far from the ends of their episodes: histories (N, h), steps (N, r), commands around each (N, w, m).
+
+    ``whole``: components of the states (T_i + 1, r) and directions of the commands (T_i, q) in each episode.
+    """
 
     history: Array
     step: Array
     commands: Array
     reach: int
     even: NDArray[np.bool_]
+    whole: tuple[list[Array], list[Array]]
 
     @classmethod
     def of(cls, xs: Sequence[Array], us: Sequence[Array], reach: int) -> _Pairs | None:
@@ -161,7 +191,9 @@ class _Pairs:
         calm = moves <= SPIKE * float(np.quantile(moves, 0.95))
         history, step, around = history[calm], step[calm], around[calm]
         even = (np.arange(len(step)) // STRETCH) % 2 == 0
-        return cls(history, step, around, reach, even)
+        return cls(
+            history, step, around, reach, even, _components(xs, us, x.mean(axis=0), scale, axes[: max(1, heard)])
+        )
 
     @property
     def judged(self) -> int:

@@ -95,7 +95,8 @@ def _shift(latency: Latency, dt: float, hold: float) -> tuple[float, str | None]
     if latency.delay is None:
         return 0.0, "the delay between commands and sensors is not visible in the data; their clocks are taken for one"
     late, within = 1e3 * latency.delay, 1e3 * latency.error
-    if latency.delay < -latency.error - 0.25 * min(hold, latency.error):
+    within_hold = latency.error if latency.begins else 0.25 * min(hold, latency.error)
+    if latency.delay < -latency.error - within_hold:
         return latency.delay, (
             f"the motion comes {-late:.0f} ms (within {within:.0f} ms) before its commands: these are moved by that; "
             f"command_shift={latency.delay:.3g} says it, a shift that is known is better"
