@@ -201,30 +201,34 @@ class FastStepper(Stepper):
             alone = k in stops
             ahead = 1 if alone else stops[np.searchsorted(stops, k)] - k
             size = next(c for c in CALLS if c <= min(max(passed, 1), ahead))
-            good = self._together(taken, x, before, commands[k : k + size])
+            good, whole, halves = self._together(taken, x, before, commands[k : k + size])
             if good:
                 x, before = taken.rows[-1], commands[k + good - 1]
             if good < size:
-                depth = self._alone(taken, x, before, commands[k + good], depth)
+                depth = self._alone(taken, x, before, commands[k + good], max(depth, halves), whole)
                 x, before = taken.rows[-1] if taken.rows else x, commands[k + good]
             if not alone:
                 passed = passed + size if good == size else 0
         stats = {"nsteps": taken.steps, "halved": len(taken.halved), "idas": len(taken.idas)}
         return np.array(taken.rows).reshape(len(taken.rows), layout.n_moving), stats, taken.message
 
-    def _together(self, taken: _Taken, x: Array, before: Array, commands: Array) -> int:
-        """How many of the first ``commands`` pass in one call; their states are appended."""
+    def _together(self, taken: _Taken, x: Array, before: Array, commands: Array) -> tuple[int, Array | None, int]:
+        """How many of the first ``commands`` pass in one call; their states are appended.
+
+        And of the one behind them, where it went in one step, if that converged, and how often it has to be halved at
+        least.
+        """
         moving, size = self.scene.layout.moving, len(commands)
         try:
             _, found = self._calls[size](np.concatenate([x, before]), commands.T)
         except RuntimeError:  # a singular matrix, somewhere
-            return 0
+            return 0, None, 0
         rows = np.asarray(found).T
         states, corrections, defects = rows[:, moving], rows[:, -2], rows[:, -1]
         with np.errstate(invalid="ignore"):
             passes = (corrections <= CONVERGED * self.substeps) & (defects <= SMALL_DEFECT * self.substeps)
         good = size if passes.all() else int(np.argmin(passes))
-        errors = np.zeros(good)
+        errors, halves = np.zeros(good), 0
         if size > 1 and good:
             worst = int(np.argmax(defects[:good]))
             at, u = (x, before) if worst == 0 else (states[worst - 1], commands[worst - 1])
@@ -233,10 +237,12 @@ class FastStepper(Stepper):
             errors = error * defects[:good] / max(float(defects[worst]), 1e-300)
             over = errors > self.accuracy * self.scene.rod.length
             good = int(np.argmax(over)) if over.any() else good
+            halves = int(over.any() and good == worst)
         taken.rows += list(states[:good])
         taken.errors += errors[:good].tolist()
         taken.steps += good * self.substeps
-        return good
+        one = self.substeps == 1 and not halves and good < size and corrections[good] <= CONVERGED
+        return good, states[good] if one else None, halves
 
     def _in_pieces(self, x: Array, before: Array, command: Array, pieces: int) -> Array | None:
         """[xi, xi_t] after an interval in equal pieces, or None where one of them does not converge."""
@@ -255,12 +261,12 @@ class FastStepper(Stepper):
             return None
         return np.asarray(end).ravel() if float(correction) <= CONVERGED else None
 
-    def _alone(self, taken: _Taken, x: Array, before: Array, command: Array, depth: int) -> int:
+    def _alone(self, taken: _Taken, x: Array, before: Array, command: Array, depth: int, whole: Array | None) -> int:
         """One interval that did not pass, in pieces, first of ``dt / 2^depth``, or by IDAS; the last depth."""
         k = len(taken.rows)
         start = np.concatenate([x, before])
         try:
-            end, error, steps, depth = self._halved(x, (before, command), depth)
+            end, error, steps, depth = self._halved(x, (before, command), depth, whole)
             taken.halved.append(k)
         except RuntimeError as too_rough:
             try:
@@ -278,15 +284,19 @@ class FastStepper(Stepper):
         taken.steps += steps
         return depth
 
-    def _halved(self, x: Array, u: tuple[Array, Array], depth: int) -> tuple[Array, float, int, int]:
+    def _halved(
+        self, x: Array, u: tuple[Array, Array], depth: int, whole: Array | None
+    ) -> tuple[Array, float, int, int]:
         """[xi, xi_t] after an interval in pieces, its estimated error in m, steps taken and the depth of the last one.
+
+        ``whole``: where it went in one step, if that is known.
 
         Raises RuntimeError beyond the last halving.
         """
         whole_interval = 1 << MAX_HALVINGS
         self._last.cuts = [0.0]
         done, error, steps = 0, 0.0, 0
-        whole: Array | None = None
+        whole = whole if depth == 0 else None
         while done < whole_interval:
             piece = whole_interval >> depth
             h = self.dt * piece / whole_interval
