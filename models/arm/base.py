@@ -56,12 +56,12 @@ class Arm:
         finite_number(self.pretension, f"{kind} pretension")
         non_negative(self.amplitude, f"{kind} amplitude", "m")
 
-    @property
+    @cached_property
     def passive(self) -> rod.Scene:
         """The arm without its tendons: the known part f."""
         return self.scene.without(TendonTerm)
 
-    @property
+    @cached_property
     def backbone(self) -> rod.Scene:
         """The same without Maxwell branches, whose stress no measured field shows: a function of strains and rates."""
         return self.passive.without(rod.Maxwell)

@@ -223,13 +223,22 @@ def _digest(samples: Array) -> str:
 def _known_derivative(arm: Arm, known: rod.Scene, stations: int) -> tuple[Any, ca.Function]:
     """Statics of the arm, and ``state -> (fields, time derivative of the fields under the known part)``."""
     scene = arm.scene
+    made: dict[tuple[int, int], tuple[rod.Scene, ca.Function]] = scene.__dict__.setdefault("_known_derivatives", {})
+    key = id(known), stations
+    if key not in made:
+        made[key] = known, _derivative(scene, known, stations)  # the scene stays alive with its number
+    return scene.statics(), made[key][1]
+
+
+def _derivative(scene: rod.Scene, known: rod.Scene, stations: int) -> ca.Function:
+    """``state -> (fields, time derivative of the fields under the known part)``."""
     fields = scene.field_map(stations).function
     x = ca.MX.sym("x", scene.n_states)
     strains, moving, *hidden = scene.layout.split(x)
     acceleration = known.acceleration(strains, moving, ca.MX(known.n_inputs, 1))
     flow = ca.vertcat(moving, acceleration, *(ca.MX.zeros(part.shape[0]) for part in hidden))
     y = fields(x)
-    return scene.statics(), ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
+    return ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
 
 
 def _flow(known: rod.Scene, states: Array, t: float, compiled: bool) -> Array:
