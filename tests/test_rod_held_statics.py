@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk
 
 from pisplit.models import rod
@@ -122,7 +123,7 @@ def test_a_held_tip_tells_whether_the_nodes_are_enough(strains: str, clamped: bo
     """The free rod is straight and resolved by any grid: it is the held one that is looked at."""
     place, found, c, s = (0.4 * LENGTH, 0.0, 0.4 * LENGTH), [], np.cos(2.5), np.sin(2.5)
     turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    for k in (nodes, 12):
+    for k in (nodes, 10):
         statics = rod.Scene(body(strains), nodes=k).statics()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -136,3 +137,16 @@ def test_a_held_tip_tells_whether_the_nodes_are_enough(strains: str, clamped: bo
     assert found[0].error == pytest.approx(off, rel=0.35) and off > 2e-3
     assert found[1].error < 1e-3
     assert found[1].tip == pytest.approx(place, abs=1e-8)
+
+
+def test_a_held_tip_is_checked_on_any_base() -> None:
+    """A base that is turned by an input, or out of the plane: the estimate is that of the rod turned as a whole."""
+    turn, place = np.array([0.0, 0.4, 0.0]), np.array([0.4 * LENGTH, 0.0, 0.4 * LENGTH])
+    straight = rod.Scene(body("planar"), nodes=5).statics()
+    turned = rod.Scene(body("planar"), rod.Base(rotation=rod.Input("turn", 3)), nodes=5).statics()
+    rotation = Rotation.from_rotvec(turn)
+    with pytest.warns(rod.Unresolved, match="nodes=") as said:
+        found = [straight.pin_tip(place), turned.pin_tip(rotation.apply(place), turn)]
+    assert len(said) == 2 and found[0].error > 1e-3
+    assert found[1].error == pytest.approx(found[0].error, rel=1e-4)
+    assert turned.clamp_tip(rotation.apply(place), rotation.as_matrix(), turn).error > 1e-3

@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from benchmarks.cosseratbench_driven import driven
+from benchmarks.cosseratbench_swing import swinging
 from common.report import Report, parser, run
 from pisplit.models import rod
 
@@ -46,11 +47,11 @@ TARGETS = {"tip_deflection_error": 6e-4, "shape_error": 6e-4, "period_error": 2.
 
 
 class PisplitSolver:
-    """Adapter of the suite for equilibria of one rod in the x-z plane, clamped or pinned at its ends, and driven rods.
+    """Adapter of the suite for equilibria of one rod in the x-z plane, clamped or pinned, driven and swinging rods.
 
     Quasi-static scenarios are answered by their equilibrium from the second frame on. A pin at the start is a clamp
-    that is turned until it bears no moment. Rods with a driven end, any number that do not touch, move: see
-    ``cosseratbench_driven``.
+    that is turned until it bears no moment. Rods with a driven end, any number that do not touch, move (see
+    ``cosseratbench_driven``), and so do those that hang from a pin (``cosseratbench_swing``).
     """
 
     name = "pisplit"
@@ -67,9 +68,12 @@ class PisplitSolver:
         """
         from cosseratbench.trajectory import Trajectory
 
-        if scenario.obstacles or not scenario.quasi_static:
-            raise NotImplementedError("obstacles, or motions (a base that is hinged in motion)")
+        if scenario.obstacles:
+            raise NotImplementedError("obstacles")
         times = np.linspace(0.0, scenario.duration, n_frames)
+        if not scenario.quasi_static:
+            swung = [swinging(spec, scenario, times, n_elements) for spec in scenario.rods]
+            return Trajectory(times, *(tuple(part) for part in zip(*swung, strict=True)))
         if all(spec.end_motion for spec in scenario.rods):
             moved = [driven(spec, scenario, times, n_elements) for spec in scenario.rods]
             return Trajectory(times, *(tuple(part) for part in zip(*moved, strict=True)))

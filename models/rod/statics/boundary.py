@@ -18,24 +18,23 @@ from pisplit.models.rod.statics.certificate import without_energy
 from pisplit.models.rod.statics.descent import descend
 from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium
 from pisplit.models.rod.statics.held import HeldJudge
+from pisplit.models.rod.statics.held_resolution import HeldResolution
 from pisplit.models.rod.statics.journey import Journey, checked_rotation, rotations, wound
 from pisplit.models.rod.statics.path import Event, Walk, walk
-from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE
 from pisplit.models.rod.statics.twisted import doubt
 from pisplit.models.rod.statics.whitened import Way
-from pisplit.models.rod.terms.held import HeldTip
 from pisplit.models.rod.terms.loads import Input
 from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+    from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.statics.search import Search
     from pisplit.models.rod.statics.whitened import Whitened
 
 _FORCE, _MOMENT = "force at the tip", "moment at the tip"
-_PLACE, _TURN = "place of the tip", "turn of the tip"
 #: Unit of the multipliers in EI/L^2 and EI/L: the Euler load of a clamped strut, so that they compare with angles.
 UNIT = 4.0 * np.pi**2
 #: Least singular value of the conditions, in parts of the largest, at which the tip can be moved in every direction.
@@ -44,8 +43,8 @@ MOVABLE = 1e-4
 FIRST_WAY, FIRST_BEND = 0.1, 0.5
 #: Stiffness that is added where a deformation may cost nothing.
 NEUTRAL = 1e-6
-#: Step of differences along the way.
-STEP = 1e-5
+#: Steps of differences along the way, and of scaled unknowns.
+STEP, PROBE = 1e-5, 1e-6
 
 
 class FixedTip(Rebuilt):
@@ -79,8 +78,8 @@ class FixedTip(Rebuilt):
         return self.whitened.search
 
     @cached_property
-    def _errors(self) -> ca.Function:
-        """``(x, multipliers, u, pose) -> `` errors of balance (paper, eq. cosserat_rod_eq) and pose, their slopes."""
+    def _balance(self) -> tuple[list[ca.SX], ca.SX, ca.SX]:
+        """Symbols x, multipliers, u and pose; errors of balance (paper, eq. cosserat_rod_eq) and of the pose."""
         scene = self.scene
         loaded = scene + TipWrench(Input(_FORCE, 3), Input(_MOMENT, 3))
         n, m = scene.n_strains, scene.n_inputs
@@ -95,29 +94,76 @@ class FixedTip(Rebuilt):
         known = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
         wrench = self._wrench(many, turn, ca.SX.zeros(3), ca.SX.zeros(3))
         residual, pose = ca.substitute([residual, pose], [xi, inputs], [known, ca.vertcat(u, *wrench)])
-        slopes = [ca.jacobian(residual, x), ca.jacobian(residual, many), ca.jacobian(pose, x)]
-        outputs = [residual, pose, *map(ca.densify, slopes)]
-        return ca.Function("errors", [x, many, u, ca.vertcat(p, ca.vec(turn))], outputs)
+        return [x, many, u, ca.vertcat(p, ca.vec(turn))], residual, pose
 
     @cached_property
-    def _resolution(self) -> Resolution:
-        """Tells whether the nodes are enough, with the tip held where it is."""
-        turn = Input(_TURN, 3) if self.clamped else None
-        return Resolution(self.scene + HeldTip(Input(_PLACE, 3), turn, "".join("xyz"[k] for k in self.axes)))
+    def _errors(self) -> ca.Function:
+        """``(x, multipliers, u, pose) -> `` errors of balance and pose, and their slopes."""
+        symbols, residual, pose = self._balance
+        slopes = [ca.jacobian(residual, symbols[0]), ca.jacobian(residual, symbols[1]), ca.jacobian(pose, symbols[0])]
+        return ca.Function("errors", symbols, [residual, pose, *map(ca.densify, slopes)])
 
-    def _posed(self, state: Array) -> Array:
-        """``state`` (n_states,) with the pose of its tip as inputs."""
+    @cached_property
+    def _tip(self) -> ca.Function:
+        """``(xi, u) -> `` position (3,) and rotation (3, 3) of the tip."""
+        xi, u, balance = self.scene.static_balance
+        return ca.Function("tip", [xi, u], [balance.motion.tip, ca.densify(balance.motion.tip_frame)])
+
+    @cached_property
+    def _resolution(self) -> HeldResolution:
+        """Tells whether the nodes are enough, with the tip held where it is."""
+        return HeldResolution(self.scene, self._of)
+
+    def _of(self, scene: Scene) -> FixedTip:
+        """What holds the tip of another ``scene`` of the same rod."""
+        if scene is self.scene:
+            return self
+        if id(scene) not in self._others:  # each keeps its scene
+            self._others[id(scene)] = FixedTip(scene.statics().branches.whitened, self.clamped, self.axes)
+        return self._others[id(scene)]
+
+    @cached_property
+    def _others(self) -> dict[int, FixedTip]:
+        return {}
+
+    def pose_of(self, state: Array) -> Array:
+        """Position and columns of the rotation (12,) of the tip of a ``state`` (n_states,)."""
         place, frame = self._pose_of(state)
-        return np.concatenate([state, place, *([frame.as_rotvec()] if self.clamped else [])])
+        return np.concatenate([place, frame.as_matrix().ravel(order="F")])
+
+    @cached_property
+    def _both(self) -> ca.Function:
+        """``(x, multipliers, u, pose) -> `` errors of balance and pose in a column, of a column a probe."""
+        symbols, residual, pose = self._balance
+        return ca.Function("both", symbols, [ca.vertcat(residual, pose)]).map(sum(s.numel() for s in symbols[:2]) + 1)
+
+    def newton_step(self, xi: Array, u: Array, pose: Array) -> Array:
+        """Change of strains ``xi`` (n,) by a Newton step under ``u`` (n_inputs,) with the tip held at ``pose`` (12,).
+
+        From the multipliers that balance them best; slopes by differences, for it is called once a grid. Raises
+        LinAlgError where there is none.
+        """
+        x, n, held = self._search.scaled(xi), len(xi), len(self.axes) + len(self._turns)
+
+        def slopes(y: Array) -> tuple[Array, Array]:
+            columns = (y + np.vstack([np.zeros(n + held), PROBE * np.eye(n + held)])).T
+            errors = np.asarray(self._both(columns[:n], columns[n:], u, pose)).T
+            return errors[0], (errors[1:] - errors[0]).T / PROBE
+
+        errors, by = slopes(np.append(x, np.zeros(held)))
+        best = np.append(x, np.linalg.lstsq(by[:n, n:], -errors[:n], rcond=None)[0])
+        errors, by = slopes(best)
+        change: Array = self.scene.nominal_strains * np.linalg.solve(by, -errors)[:n]
+        return change
 
     def error(self, state: Array) -> float:
         """Estimated error of the grid at a ``state`` (n_states,) at rest whose tip is held: see ``Resolution``."""
-        return self._resolution.error(self._posed(state))
+        return self._resolution.error(state)
 
     def check(self, found: FixedTipEquilibrium) -> None:
         """Warn if the nodes do not resolve what was ``found``."""
         if found.success:
-            self._resolution.check(self._posed(found.state)[None])
+            self._resolution.check(found.state[None])
 
     def _wrench(self, multipliers: Any, turn: Any, force: Any, moment: Any) -> tuple[Any, Any]:
         """World force and moment, (3,) each, of multipliers; ``force`` and ``moment`` come as zeros."""
@@ -152,8 +198,9 @@ class FixedTip(Rebuilt):
         return self._pose_of(self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u))
 
     def _pose_of(self, state: Array) -> tuple[Array, Rotation]:
-        fields = self.scene.fields(state, [self.scene.rod.length])[0]
-        return fields[:3], rotations().from_matrix(fields[3:12].reshape(3, 3))
+        strains, *_, u = self.scene.layout.split(state)
+        place, frame = (np.asarray(v) for v in self._tip(strains, u))
+        return place.ravel(), rotations().from_matrix(frame)
 
     def _held(self, y: Array, u: Array) -> tuple[Array, float]:
         """Unknowns at the strains ``y`` with the multipliers that hold them best, and the force that is left."""
