@@ -12,6 +12,7 @@ from pisplit.models.arm.disk_robot import DiskRobot, disk_robot
 from pisplit.models.arm.tendon_arm import TendonArm
 
 if _TYPE_CHECKING:
+    from pisplit.models.arm.marker_states import fields_from_markers
     from pisplit.models.arm.motion_capture import MotionCapture
     from pisplit.models.arm.multi_section_arm import MultiSectionArm
     from pisplit.models.arm.phase_samples import deviations_from_equilibrium, make_phase_samples
@@ -24,6 +25,7 @@ if _TYPE_CHECKING:
 
 #: Names by the module that is loaded when one of them is first used.
 _PLACES = {
+    "pisplit.models.arm.marker_states": "fields_from_markers",
     "pisplit.models.arm.motion_capture": "MotionCapture",
     "pisplit.models.arm.multi_section_arm": "MultiSectionArm",
     "pisplit.models.arm.phase_samples": "deviations_from_equilibrium make_phase_samples",
@@ -50,6 +52,7 @@ __all__ = [
     "deviations_from_equilibrium",
     "disk_robot",
     "equilibrium_table",
+    "fields_from_markers",
     "make_episodes",
     "make_phase_samples",
     "random_displacements",

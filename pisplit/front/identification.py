@@ -21,7 +21,7 @@ from pisplit.front.candidates import CANDIDATES, Candidate, by_hand, fitted
 from pisplit.front.case import GROUPS, Case
 from pisplit.front.judgement import helps, unfit
 from pisplit.front.report import Report, Tried
-from pisplit.models.arm import Arm
+from pisplit.models.arm import Arm, MotionCapture, fields_from_markers
 from pisplit.models.arm.resting import RestShapes
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def identify(
     states: str | Sequence[int] | Sequence[str] | None = None,
     candidates: Sequence[str] | None = None,
     progress: bool = True,
+    capture: MotionCapture | None = None,
 ) -> Identified:
     """Try every model that the data allow and keep the one that rolls held-out recordings out best.
 
@@ -124,10 +125,15 @@ def identify(
             data have such a group, else all states.
         candidates: names of those to try; all that the data allow if not given.
         progress: whether to show a bar.
+        capture: markers, where positions of a few points are all that was recorded: all fields are found from these by
+            the equations of the ``arm``, which is calibrated already (``calibrate_from_markers``); models and errors
+            are then those of all fields, in the axes of the arm's base.
 
     Raises ValueError, in one line, for too little data, inputs that never change, and where all candidates diverge.
     """
     _check(d1, arm, shapes)
+    if capture is not None:
+        d1 = _seen_by_markers(d1, arm, capture)
     group = states if states is not None else next((g for g in GROUPS if g in (d1.outputs or {})), None)
     training, held = _parted(d1)
     case = Case(d1, arm, shapes, group, progress)
@@ -161,6 +167,13 @@ def identify(
         report = _report(case, part, best, tried, fits, errors, held)
     rivals = tuple((name, fits[name]) for name in order)
     return Identified(estimator, rivals, case, held, errors, report)
+
+
+def _seen_by_markers(d1: Episodes, arm: Arm | None, capture: MotionCapture) -> Episodes:
+    """All fields of the ``arm``, from the markers of a ``capture``."""
+    if arm is None:
+        raise ValueError("markers tell fields only with the equations of an arm; give arm=, calibrated, with capture=")
+    return fields_from_markers(arm, d1, capture)
 
 
 def _check(d1: Any, arm: Any, shapes: Any) -> None:
