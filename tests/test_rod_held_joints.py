@@ -55,7 +55,10 @@ def test_columns_buckle_and_beams_vibrate_as_euler_says(base, tip, critical, roo
     assert 2.0 * np.pi * found == pytest.approx(root**2 * rate, rel=3e-4)
 
 
-@pytest.mark.parametrize(("strains", "base"), [("planar", HINGE), ("kirchhoff", rod.Base(hinge="ball"))])
+BALL = rod.Base(hinge="ball")
+
+
+@pytest.mark.parametrize(("strains", "base"), [("planar", HINGE), ("kirchhoff", BALL), ("cosserat", BALL)])
 def test_a_strut_between_two_pins_is_the_elastica(strains, base):
     """At 0.8 L: force 4 K^2 EI/L^2 with 2 E/K - 1 = 0.8 (Love, *Elasticity*, section 263)."""
     nodes, rel = (10, 1e-6) if strains == "planar" else (7, 1e-3)

@@ -17,6 +17,8 @@ LONGEST, GAINSAID = 0.5, 0.5
 FIRST_PACE, LEAST_PACE, MOST_STEPS = 0.1, 1e-8, 600
 #: Force at which a descent is at rest.
 AT_REST = 1e-3
+#: Force that counts as none, how far a shape in unstable balance is pushed off it [rad], and how often.
+BALANCED, PUSH, PUSHES = 1e-9, 1e-2, 3
 
 
 @dataclass(frozen=True)
@@ -89,13 +91,19 @@ def descend(way: Way, y: Array, t: float, judge: Judge) -> tuple[Array, bool]:
     """Where a rod with the strains ``y`` (n,) sinks to, and whether it came to a stable rest there.
 
     y' = g(y) at the point ``t`` of the ``way`` by linearly implicit Euler steps under error control. Where loads
-    have an energy no step goes uphill: its change is the work of the mean force. The ``judge`` tells stable shapes.
+    have an energy no step goes uphill: its change is the work of the mean force. The ``judge`` tells stable shapes. A
+    shape that is balanced and not stable, as a strut that was turned and not bent, is pushed along its softest direction.
     """
     force, stiffness, _ = way(y, t)
-    pace, drag = FIRST_PACE, judge.drag(len(y))
+    pace, drag, pushed = FIRST_PACE, judge.drag(len(y)), 0
     for _ in range(MOST_STEPS):
-        if np.abs(force).max() < AT_REST and judge.stable(stiffness):
-            return y, True
+        if np.abs(force).max() < AT_REST:
+            if judge.stable(stiffness):
+                return y, True
+            if np.abs(force).max() < BALANCED and pushed < PUSHES:
+                y, pace, pushed = y + PUSH * judge.softest(stiffness)[1], FIRST_PACE, pushed + 1
+                force, stiffness, _ = way(y, t)
+                continue
         damped = stiffness + np.diag(drag / pace)
         if not judge.stable(damped):
             pace *= 0.5
@@ -106,7 +114,7 @@ def descend(way: Way, y: Array, t: float, judge: Judge) -> tuple[Array, bool]:
             pace *= max(0.2, 0.7 * LONGEST / length) if np.isfinite(length) else 0.2
             continue
         ahead, stiffness_ahead, _ = way(y + step, t)
-        error = float(np.linalg.norm(ahead - drag * step / pace)) / max(length / pace, 1e-300)
+        error = float(np.linalg.norm(ahead - drag * step / pace)) / max(length / pace, BALANCED)
         if not error <= GAINSAID or judge.uphill(force, ahead, step):
             if pace < LEAST_PACE:
                 break
