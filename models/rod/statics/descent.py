@@ -91,8 +91,8 @@ def descend(way: Way, y: Array, t: float, judge: Judge) -> tuple[Array, bool]:
     """Where a rod with the strains ``y`` (n,) sinks to, and whether it came to a stable rest there.
 
     y' = g(y) at the point ``t`` of the ``way`` by linearly implicit Euler steps under error control. Where loads
-    have an energy no step goes uphill: its change is the work of the mean force. The ``judge`` tells stable shapes. A
-    shape that is balanced and not stable, as a strut that was turned and not bent, is pushed along its softest direction.
+    have an energy no step goes uphill: its change is the work of the mean force. The ``judge`` tells stable shapes.
+    A shape in balance that is not stable, as a strut that was turned but not bent, is pushed its softest way.
     """
     force, stiffness, _ = way(y, t)
     pace, drag, pushed = FIRST_PACE, judge.drag(len(y)), 0
