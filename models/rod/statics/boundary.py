@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,33 +17,28 @@ from pisplit.models.rod.statics.certificate import without_energy
 from pisplit.models.rod.statics.descent import descend
 from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium
 from pisplit.models.rod.statics.held import HeldJudge
+from pisplit.models.rod.statics.held_balance import UNIT, HeldBalance
 from pisplit.models.rod.statics.held_resolution import HeldResolution
 from pisplit.models.rod.statics.journey import Journey, checked_rotation, rotations, wound
 from pisplit.models.rod.statics.path import Event, Walk, walk
 from pisplit.models.rod.statics.search import TOLERANCE
 from pisplit.models.rod.statics.twisted import doubt
 from pisplit.models.rod.statics.whitened import Way
-from pisplit.models.rod.terms.loads import Input
-from pisplit.models.rod.terms.wrench import TipWrench
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-    from pisplit.models.rod.scene import Scene
     from pisplit.models.rod.statics.search import Search
     from pisplit.models.rod.statics.whitened import Whitened
 
-_FORCE, _MOMENT = "force at the tip", "moment at the tip"
-#: Unit of the multipliers in EI/L^2 and EI/L: the Euler load of a clamped strut, so that they compare with angles.
-UNIT = 4.0 * np.pi**2
 #: Least singular value of the conditions, in parts of the largest, at which the tip can be moved in every direction.
 MOVABLE = 1e-4
 #: Share of the way of a straight rod to its place that its first bend takes, and the largest bend [rad].
 FIRST_WAY, FIRST_BEND = 0.1, 0.5
 #: Stiffness that is added where a deformation may cost nothing.
 NEUTRAL = 1e-6
-#: Steps of differences along the way, and of scaled unknowns.
-STEP, PROBE = 1e-5, 1e-6
+#: Step of differences along the way.
+STEP = 1e-5
 
 
 class FixedTip(Rebuilt):
@@ -60,13 +54,9 @@ class FixedTip(Rebuilt):
 
     def __init__(self, whitened: Whitened, clamped: bool, axes: Sequence[int] = (0, 1, 2)) -> None:
         self.whitened = whitened
-        self.scene = scene = whitened.search.scene
-        self.clamped = clamped
-        planar = scene.rod.strain_set.planar
-        self.axes = [k for k in axes if not (planar and k == 1)]
-        self._turns = ([1] if planar else [0, 1, 2]) if clamped else []
-        self._force_unit = UNIT * min(scene.rod.stiffness[:2]) / scene.rod.length**2
-        self._moment_unit = self._force_unit * scene.rod.length
+        self.scene = whitened.search.scene
+        self._balance = HeldBalance(self.scene, clamped, axes)
+        self.clamped, self.axes = clamped, self._balance.axes
 
     @cached_property
     def judge(self) -> HeldJudge:
@@ -78,83 +68,9 @@ class FixedTip(Rebuilt):
         return self.whitened.search
 
     @cached_property
-    def _balance(self) -> tuple[list[ca.SX], ca.SX, ca.SX]:
-        """Symbols x, multipliers, u and pose; errors of balance (paper, eq. cosserat_rod_eq) and of the pose."""
-        scene = self.scene
-        loaded = scene + TipWrench(Input(_FORCE, 3), Input(_MOMENT, 3))
-        n, m = scene.n_strains, scene.n_inputs
-        xi, inputs, balance = loaded.static_balance
-        motion = balance.motion
-        x, many = ca.SX.sym("x", n), ca.SX.sym("multipliers", len(self.axes) + len(self._turns))
-        u, p, turn = ca.SX.sym("u", m), ca.SX.sym("p", 3), ca.SX.sym("turn", 3, 3)
-        off = ca.inv_skew(turn.T @ motion.tip_frame) - ca.inv_skew(motion.tip_frame.T @ turn)
-        # The moment acts along the axes of the prescribed frame, which does not turn with the rod.
-        pose = ca.vertcat((motion.tip - p)[self.axes] / scene.rod.length, 0.5 * off[self._turns])
-        residual = balance.residual / ca.DM(loaded.nominal_residual)
-        known = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
-        wrench = self._wrench(many, turn, ca.SX.zeros(3), ca.SX.zeros(3))
-        residual, pose = ca.substitute([residual, pose], [xi, inputs], [known, ca.vertcat(u, *wrench)])
-        return [x, many, u, ca.vertcat(p, ca.vec(turn))], residual, pose
-
-    @cached_property
-    def _errors(self) -> ca.Function:
-        """``(x, multipliers, u, pose) -> `` errors of balance and pose, and their slopes."""
-        symbols, residual, pose = self._balance
-        slopes = [ca.jacobian(residual, symbols[0]), ca.jacobian(residual, symbols[1]), ca.jacobian(pose, symbols[0])]
-        return ca.Function("errors", symbols, [residual, pose, *map(ca.densify, slopes)])
-
-    @cached_property
-    def _tip(self) -> ca.Function:
-        """``(xi, u) -> `` position (3,) and rotation (3, 3) of the tip."""
-        xi, u, balance = self.scene.static_balance
-        return ca.Function("tip", [xi, u], [balance.motion.tip, ca.densify(balance.motion.tip_frame)])
-
-    @cached_property
     def _resolution(self) -> HeldResolution:
         """Tells whether the nodes are enough, with the tip held where it is."""
-        return HeldResolution(self.scene, self._of)
-
-    def _of(self, scene: Scene) -> FixedTip:
-        """What holds the tip of another ``scene`` of the same rod."""
-        if scene is self.scene:
-            return self
-        if id(scene) not in self._others:  # each keeps its scene
-            self._others[id(scene)] = FixedTip(scene.statics().branches.whitened, self.clamped, self.axes)
-        return self._others[id(scene)]
-
-    @cached_property
-    def _others(self) -> dict[int, FixedTip]:
-        return {}
-
-    def pose_of(self, state: Array) -> Array:
-        """Position and columns of the rotation (12,) of the tip of a ``state`` (n_states,)."""
-        place, frame = self._pose_of(state)
-        return np.concatenate([place, frame.as_matrix().ravel(order="F")])
-
-    @cached_property
-    def _both(self) -> ca.Function:
-        """``(x, multipliers, u, pose) -> `` errors of balance and pose in a column, of a column a probe."""
-        symbols, residual, pose = self._balance
-        return ca.Function("both", symbols, [ca.vertcat(residual, pose)]).map(sum(s.numel() for s in symbols[:2]) + 1)
-
-    def newton_step(self, xi: Array, u: Array, pose: Array) -> Array:
-        """Change of strains ``xi`` (n,) by a Newton step under ``u`` (n_inputs,) with the tip held at ``pose`` (12,).
-
-        From the multipliers that balance them best; slopes by differences, for it is called once a grid. Raises
-        LinAlgError where there is none.
-        """
-        x, n, held = self._search.scaled(xi), len(xi), len(self.axes) + len(self._turns)
-
-        def slopes(y: Array) -> tuple[Array, Array]:
-            columns = (y + np.vstack([np.zeros(n + held), PROBE * np.eye(n + held)])).T
-            errors = np.asarray(self._both(columns[:n], columns[n:], u, pose)).T
-            return errors[0], (errors[1:] - errors[0]).T / PROBE
-
-        errors, by = slopes(np.append(x, np.zeros(held)))
-        best = np.append(x, np.linalg.lstsq(by[:n, n:], -errors[:n], rcond=None)[0])
-        errors, by = slopes(best)
-        change: Array = self.scene.nominal_strains * np.linalg.solve(by, -errors)[:n]
-        return change
+        return HeldResolution(self.scene, self._balance)
 
     def error(self, state: Array) -> float:
         """Estimated error of the grid at a ``state`` (n_states,) at rest whose tip is held: see ``Resolution``."""
@@ -165,14 +81,6 @@ class FixedTip(Rebuilt):
         if found.success:
             self._resolution.check(found.state[None])
 
-    def _wrench(self, multipliers: Any, turn: Any, force: Any, moment: Any) -> tuple[Any, Any]:
-        """World force and moment, (3,) each, of multipliers; ``force`` and ``moment`` come as zeros."""
-        for k, axis in enumerate(self.axes):
-            force[axis] = self._force_unit * multipliers[k]
-        for k, axis in enumerate(self._turns):
-            moment[axis] = self._moment_unit * multipliers[len(self.axes) + k]
-        return force, turn @ moment
-
     def way(self, u: Array, journey: Journey) -> Way:
         """The tip goes along a ``journey`` under inputs ``u`` (n_inputs,)."""
         of_x, of_residual, of_slopes = self.whitened.sizes
@@ -180,12 +88,12 @@ class FixedTip(Rebuilt):
 
         def way(y: Array, t: float) -> tuple[Array, Array, Array]:
             x, many = y[:n] / of_x, y[n:]
-            residual, off, h, j, g = (np.asarray(v) for v in self._errors(x, many, u, journey.at(t)))
+            residual, off, h, j, g = (np.asarray(v) for v in self._balance.errors(x, many, u, journey.at(t)))
             force = np.concatenate([of_residual * residual.ravel(), UNIT * off.ravel()])
             slopes = -np.block(
                 [[of_slopes * h, of_residual[:, None] * j], [UNIT * g / of_x, np.zeros((len(off), len(off)))]]
             )
-            ahead, behind = (self._errors(x, many, u, journey.at(t + d))[:2] for d in (STEP, -STEP))
+            ahead, behind = (self._balance.errors(x, many, u, journey.at(t + d))[:2] for d in (STEP, -STEP))
             changes = [np.asarray(a - b).ravel() / (2.0 * STEP) for a, b in zip(ahead, behind, strict=True)]
             return force, slopes, np.concatenate([of_residual * changes[0], UNIT * changes[1]])
 
@@ -195,17 +103,14 @@ class FixedTip(Rebuilt):
 
     def _pose(self, y: Array, u: Array) -> tuple[Array, Rotation]:
         n = self.scene.n_strains
-        return self._pose_of(self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u))
-
-    def _pose_of(self, state: Array) -> tuple[Array, Rotation]:
-        strains, *_, u = self.scene.layout.split(state)
-        place, frame = (np.asarray(v) for v in self._tip(strains, u))
-        return place.ravel(), rotations().from_matrix(frame)
+        state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
+        place, frame = self._balance.pose(state)
+        return place, rotations().from_matrix(frame)
 
     def _held(self, y: Array, u: Array) -> tuple[Array, float]:
         """Unknowns at the strains ``y`` with the multipliers that hold them best, and the force that is left."""
         n = len(y)
-        whole = np.concatenate([y, np.zeros(len(self.axes) + len(self._turns))])
+        whole = np.concatenate([y, np.zeros(self._balance.n_held)])
         force, stiffness, _ = self._still(y, u)(whole, 0.0)
         whole[n:] = np.linalg.lstsq(stiffness[:n, n:], force[:n], rcond=1e-9)[0]
         return whole, float(np.abs(force[:n] - stiffness[:n, n:] @ whole[n:]).max())
@@ -353,7 +258,7 @@ class FixedTip(Rebuilt):
     ) -> FixedTipEquilibrium:
         n, of_x, y = self.scene.n_strains, self.whitened.sizes[0], walked.y
         pose = journey.at(1.0)
-        errors = self._errors(y[:n] / of_x, y[n:], u, pose)[:2]
+        errors = self._balance.errors(y[:n] / of_x, y[n:], u, pose)[:2]
         residual = max(float(np.abs(np.asarray(e)).max()) for e in errors)
         met = bool(residual <= TOLERANCE)
         success = met and walked.success
@@ -368,7 +273,7 @@ class FixedTip(Rebuilt):
             message = "the equilibrium near the guess is unstable; leave guess out" if met else "none near the guess"
         else:
             message = f"{where}; lost stability at {', '.join(lost)}" if lost else where
-        wrench = self._wrench(y[n:], pose[3:].reshape(3, 3, order="F"), np.zeros(3), np.zeros(3))
+        wrench = self._balance.wrench(y[n:], pose[3:].reshape(3, 3, order="F"), np.zeros(3), np.zeros(3))
         state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
         if not success:
             message = "; ".join(filter(None, [message, doubt(self.scene, state, walked.t)]))
