@@ -1,7 +1,8 @@
 """Closed loops on the other robot (disks, friction both ways, lag, play, noise): RMS error of the true tip.
 
 Models learn from its recordings alone; a Kalman filter and the integrating disturbance estimate do the rest. The tip
-follows a circle of 0.1 m in 4 s and stops on it.
+follows a circle of 0.1 m in 4 s and stops on it. Kinds are L and B, models of commands; "L+told" and "B+told" are
+models of the positions behind servos whose lag and play are told, which MPC takes out of what it sends.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.report import Report, parser, run
-from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
+from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, plants, references
@@ -65,6 +66,13 @@ def fitted(kind: str, data: Episodes, pairs: int | None, seed: int) -> Any:
     return ESTIMATORS[kind](theta, alpha="cv", penalty="ridge").fit(data, drawn)
 
 
+def servos(robot: DiskRobot, how: str) -> Actuator | None:
+    """Servos by ``how`` they are known: "told", or "" for not at all. Raises ValueError for other words."""
+    if how not in ("", "told"):
+        raise ValueError(f"+{how} is no way to know servos; expected L, B, L+told or B+told")
+    return robot.actuator if how else None
+
+
 def errors(true: Array, log: Any, stop: int) -> tuple[float, float, float]:
     """Of the true tip in mm: RMS on the circle once settled, RMS at rest at the end, and the largest of all."""
     missed = true[:, list(log.tracked)] - log.reference
@@ -80,7 +88,7 @@ def main() -> None:
     made = parser((__doc__ or "").splitlines()[0], "out/other_robot")
     made.add_argument("--presets", default="2", help="robots, separated by commas: 1 to 4")
     made.add_argument("--steps", type=int, default=170, help=f"steps of 30 ms until the tip stops for {RESTING} more")
-    made.add_argument("--kinds", default="B,L", help="models, L and B")
+    made.add_argument("--kinds", default="B,L", help="models, L and B, and with servos: L+told, B+told")
     made.add_argument("--sizes", default=f"{PAIRS},all", help="pairs to learn from, and all")
     made.add_argument("--rate-weights", default="0.02", help="rate weights, separated by commas")
     made.add_argument("--gains", default="0.3", help="gains of the disturbance estimate")
@@ -104,14 +112,18 @@ def main() -> None:
         tried = [(k, n) for k in given.kinds.split(",") for n in given.sizes.split(",")]
         for kind, size in tqdm(tried, desc=f"robot {preset}", unit="model"):
             pairs = None if size == "all" else int(size)
+            estimator, _, how = kind.partition("+")
+            servo = servos(robot, how)
+            moved = data if servo is None else data.through(servo, robot.arm.rest_inputs)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                model = fitted(kind, data, pairs, given.seed)
-            observer = KalmanFilter.from_data(model, data[:1] if pairs else data, told)
+                model = fitted(estimator, moved, pairs, given.seed)
+            observer = KalmanFilter.from_data(model, moved[:1] if pairs else moved, told)
             for weight, gain in settings:
                 few = f"{pairs} pairs" if pairs else f"{episodes} recordings"
                 label = f"{kind}, {few}, rate weight {weight:g}, gain {gain:g}"
-                mpc = MPC(model, HORIZON, *LIMITS, rate_weight=weight, estimator_gain=gain, observer=observer)
+                numbers: dict[str, Any] = {"rate_weight": weight, "estimator_gain": gain, "observer": observer}
+                mpc = MPC(model, HORIZON, *LIMITS, **numbers, actuator=servo)
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     total = given.steps + RESTING

@@ -56,6 +56,8 @@ def _refuse(mpc: MPC) -> None:
         raise ValueError("C of the step is for models linear in the inputs; this one is linearised at every step")
     if mpc._problem.n_variables != mpc._problem.n_moves:
         raise ValueError("C of the step knows no output limits; leave y_min and y_max out")
+    if not mpc._servos.idle:
+        raise ValueError("C of the step knows no servos; leave the actuator out")
     if mpc._estimation.watches:
         raise ValueError("C of the step does not look for stuck sensors; give stuck_after=None")
 

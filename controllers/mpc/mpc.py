@@ -31,8 +31,10 @@ from pisplit.controllers.mpc.limits import directions, held_directions, input_li
 from pisplit.controllers.mpc.prediction import Prediction
 from pisplit.controllers.mpc.problem import TrackingProblem, Weights
 from pisplit.controllers.mpc.qp import QPResult, QPSettings
+from pisplit.controllers.mpc.servos import Servos
 from pisplit.controllers.mpc.state import MPCState
 from pisplit.controllers.mpc.steady import SteadyTarget
+from pisplit.data.actuator import Actuator
 from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, model_of
@@ -81,6 +83,11 @@ class MPC:
     For models of the plant without these delays: one that was fitted to recordings with them has them inside. The
     ``horizon`` attribute, the samples of the reference that ``step`` takes, grows by what the delay of commands needs.
 
+    ``actuator``: servos between the commands and what the model takes, for models of positions: those fitted to
+    ``episodes.through(actuator)``, or equations of an arm. Limits are those of commands, the lag is predicted, and the
+    play is taken out of what is sent (:class:`Servos`). ``actuator_inputs``: how a command is reached, "ramp" or
+    "step".
+
     ``stuck_after``: a reading that repeats itself exactly so many times, while the inputs moved and the model predicts
     that it changed, is taken for not measured until it changes (``Move.stuck`` names it); None trusts all readings.
 
@@ -117,6 +124,8 @@ class MPC:
         command_delay: float = 0.0,
         measurement_delay: float = 0.0,
         stuck_after: int | None = 5,
+        actuator: Actuator | None = None,
+        actuator_inputs: str = "ramp",
     ) -> None:
         self._arguments = {k: v for k, v in locals().items() if k not in ("self", "model", "observer", "__class__")}
         self.model = model = model_of(model, "model")
@@ -166,7 +175,8 @@ class MPC:
         self._estimation = self._estimation_of(
             model=model, observer=observer, gain=gain, stuck_after=stuck_after, amplitude=limits.amplitude
         )
-        S = self._prediction.nominal
+        self._servos = Servos(actuator, model.dt, actuator_inputs, limits, H)
+        S = self._servos.response(self._prediction.nominal)
         self._problem = TrackingProblem(H, limits, weights, low, high, S, qp or QPSettings())
         self._line = Line(self._latency.total, "command_delay + measurement_delay")
         self.reset(np.clip(np.zeros(model.n_inputs), limits.u_min, limits.u_max))
@@ -207,6 +217,7 @@ class MPC:
         self._prediction.reset()
         self._fallback.reset(start)
         self._line.fill(start)
+        self._servos.reset(np.array(start))
         self._commanded = np.array(start)
         self._wanted = None
         self._plan = None
@@ -265,7 +276,8 @@ class MPC:
         other.reset(log.u[-1] if len(log.u) else log.u0)
         other._fallback.restore(replace(other._fallback.snapshot(), rest=self._fallback.snapshot().rest))
         other._line.fill(log.u0)
-        acting = [other._line(u) for u in log.u]
+        acting = [other._line(other._servos.sent(u)) for u in log.u]
+        other._commanded = other._servos.command
         other._estimation.remember(log.x[:-1], np.reshape(acting, log.u.shape))
         other._wanted = None if self._wanted is None else self._wanted.copy()
         return other
@@ -292,6 +304,7 @@ class MPC:
             self._line.own(),
             self._commanded.copy(),
             None if self._wanted is None else self._wanted.copy(),
+            self._servos.snapshot(),
             self._prediction.snapshot(),
             self._loud,
         )
@@ -310,6 +323,7 @@ class MPC:
         self._wanted = None if state.wanted is None else state.wanted.copy()
         self._prediction.restore(state.prediction)
         self._loud = state.loud
+        self._servos.restore(state.servos)
 
     @one_blas_thread()
     def step(self, x_measured: ArrayLike, reference_window: ArrayLike) -> Move:
@@ -338,7 +352,10 @@ class MPC:
                 predicted = np.full((self._H, len(self.tracked)), np.nan)
             else:
                 ahead = estimation.ahead(z, found.w, self._line.coming())
-                S, y_free = self._prediction(ahead, found.w, problem.moves(plan), v_previous)
+                planned_moves, scale = problem.moves(plan), problem.scale
+                before = limits.coordinates(self._servos.position) / scale
+                S, y_free = self._prediction(ahead, found.w, self._servos.planned(planned_moves, scale), before)
+                S, y_free = self._servos.by_commands(S, y_free, self._prediction.nominal, scale)
                 assert estimation.readout is not None
                 y_free += np.tile(estimation.readout[list(self.tracked)], self._H)
                 if estimation.blind > self._H:
@@ -354,11 +371,12 @@ class MPC:
                 u, action = self._fallback(planned, lambda: self._at_rest(r, z), self._commanded)
                 if action != PLAN:
                     self._plan = problem.hold(limits.coordinates(u) / problem.scale)
-            acting = self._line(u)
+            u, position = self._servos.send(u, self._ahead())
+            acting = self._line(position)
             estimation.applied(found, acting)
             if z is not None:
                 predicted = problem.outputs(y_free, self._plan)
-        self._commanded = u.copy()
+        self._commanded = np.array(self._servos.command)
         return Move(
             u=u,
             status=result.status,
@@ -373,6 +391,13 @@ class MPC:
             stuck=found.stuck,
             warning=self._doubted(),
         )
+
+    def _ahead(self) -> Array:
+        """Positions (H, m) along the plan."""
+        problem, limits = self._problem, self._limits
+        assert self._plan is not None
+        moves = self._servos.planned(problem.moves(self._plan), problem.scale)
+        return np.asarray(limits.offset + moves @ problem.T.T)
 
     def _doubted(self) -> str:
         """That innovations are too large, in words, when it is said for the first time; empty otherwise."""
