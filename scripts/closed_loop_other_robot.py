@@ -2,7 +2,8 @@
 
 Models learn from its recordings alone; a Kalman filter and the integrating disturbance estimate do the rest. The tip
 follows a circle of 0.1 m in 4 s and stops on it. Kinds are L and B, models of commands; "L+told" and "B+told" are
-models of the positions behind servos whose lag and play are told, which MPC takes out of what it sends.
+models of the positions behind servos whose lag and play are told, which MPC takes out of what it sends; with "+found"
+``find_actuator`` looks for these in all recordings.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.report import Report, parser, run
-from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc
+from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, find_actuator
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, plants, references
@@ -66,10 +67,17 @@ def fitted(kind: str, data: Episodes, pairs: int | None, seed: int) -> Any:
     return ESTIMATORS[kind](theta, alpha="cv", penalty="ridge").fit(data, drawn)
 
 
-def servos(robot: DiskRobot, how: str) -> Actuator | None:
-    """Servos by ``how`` they are known: "told", or "" for not at all. Raises ValueError for other words."""
-    if how not in ("", "told"):
-        raise ValueError(f"+{how} is no way to know servos; expected L, B, L+told or B+told")
+def servos(robot: DiskRobot, data: Episodes, how: str) -> Actuator | None:
+    """Servos by ``how`` they are known: "told", "found" in the recordings ``data``, or "" for not at all.
+
+    Raises ValueError for other words.
+    """
+    if how not in ("", "told", "found"):
+        raise ValueError(f"+{how} is no way to know servos; expected nothing, +told or +found behind L or B")
+    if how == "found":
+        found = find_actuator(data, start=robot.arm.rest_inputs)
+        tqdm.write(f"  {found}")
+        return found.actuator
     return robot.actuator if how else None
 
 
@@ -88,7 +96,7 @@ def main() -> None:
     made = parser((__doc__ or "").splitlines()[0], "out/other_robot")
     made.add_argument("--presets", default="2", help="robots, separated by commas: 1 to 4")
     made.add_argument("--steps", type=int, default=170, help=f"steps of 30 ms until the tip stops for {RESTING} more")
-    made.add_argument("--kinds", default="B,L", help="models, L and B, and with servos: L+told, B+told")
+    made.add_argument("--kinds", default="B,L", help="models: L, B, and with servos L+told, B+told, B+found")
     made.add_argument("--sizes", default=f"{PAIRS},all", help="pairs to learn from, and all")
     made.add_argument("--rate-weights", default="0.02", help="rate weights, separated by commas")
     made.add_argument("--gains", default="0.3", help="gains of the disturbance estimate")
@@ -113,7 +121,7 @@ def main() -> None:
         for kind, size in tqdm(tried, desc=f"robot {preset}", unit="model"):
             pairs = None if size == "all" else int(size)
             estimator, _, how = kind.partition("+")
-            servo = servos(robot, how)
+            servo = servos(robot, data, how)
             moved = data if servo is None else data.through(servo, robot.arm.rest_inputs)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")

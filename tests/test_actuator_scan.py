@@ -38,6 +38,33 @@ def test_lag_and_play_are_found(lag: float, play: float) -> None:
     assert found.residual - found.tried[:, 2].min() <= 0.02 * found.without
 
 
+def pulled(actuator: Actuator, noise: float = 0.01) -> Episodes:
+    """Two masses on three strings whose commands sum to zero, behind the actuator, seen with noise by ten sensors."""
+    rng = np.random.default_rng(2)
+    strings = np.array([[np.cos(a), np.sin(a)] for a in 2.0 * np.pi * np.arange(3) / 3.0])
+    sensors, xs, us = rng.normal(size=(10, 4)), [], []
+    for _ in range(5):
+        knots = rng.normal(size=(24, 2)) @ strings.T
+        u = np.stack([np.interp(np.arange(160) / 8.0, np.arange(24), k) for k in knots.T], axis=1)
+        moved, z = actuator.simulate(u, DT)[0], np.zeros((161, 4))
+        before = np.vstack([moved[:1], moved[:-1]])
+        for k in range(160):
+            push = 0.5 * (moved[k] + before[k]) @ strings
+            z[k + 1, :2], z[k + 1, 2:] = A @ z[k, :2] + 0.15 * push[0] * A[1], A.T @ z[k, 2:] + 0.15 * push[1] * A[0]
+        y = z @ sensors.T
+        xs.append(y + noise * y.std() * rng.normal(size=y.shape))
+        us.append(u)
+    return Episodes(xs, us, dt=DT)
+
+
+@pytest.mark.parametrize(("lag", "play"), [(0.08, 0.2), (0.0, 0.0)])
+def test_noise_and_strings_that_sum_to_zero_hide_neither(lag: float, play: float) -> None:
+    """Positions behind play do not sum to zero: a direction more in the map must not pass for a better actuator."""
+    found = find_actuator(pulled(Actuator(lag=lag, play=play))).actuator
+    assert found.lag == pytest.approx(lag, abs=0.25 * lag)
+    assert found.play == pytest.approx(play, abs=0.25 * play)
+
+
 def test_where_there_is_no_actuator_none_is_found() -> None:
     found = find_actuator(recorded(Actuator()))
     assert found.actuator == Actuator()
