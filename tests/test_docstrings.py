@@ -213,3 +213,104 @@ class Held:
 '''
     found = [what for _, what in without_shape(ast.parse(code), {}, frozenset({"moved", "Held"}))]
     assert found == ["moved: the shape of by", "Held: the shape of values"]
+
+
+def unsaid_errors(tree: ast.Module, known: dict[str, ast.ClassDef], names: frozenset[str]) -> Iterator[tuple[int, str]]:
+    """Line and function, class or method of public ``names`` that raises by itself and does not say so."""
+    for node in tree.body:
+        if isinstance(node, Function) and node.name in names and raises(node) and not tells(ast.get_docstring(node)):
+            yield node.lineno, f"{node.name} raises {', '.join(raises(node))}"
+        if isinstance(node, ast.ClassDef) and node.name in names:
+            above = said_by([node, *ancestors(node, known)])
+            for member in methods(node):
+                own = public(member.name) or member.name in ("__init__", "__post_init__", "__call__")
+                if own and raises(member) and not tells(f"{ast.get_docstring(member) or ''} {above}"):
+                    yield member.lineno, f"{node.name}.{member.name} raises {', '.join(raises(member))}"
+
+
+def raises(node: Function) -> list[str]:
+    """Errors that a caller may make; what is not written yet or never happens is not."""
+    made = [n.exc for n in ast.walk(node) if isinstance(n, ast.Raise) and n.exc is not None]
+    found = [ast.unparse(e.func if isinstance(e, ast.Call) else e) for e in made]
+    return sorted({f for f in found if f[:1].isupper() and f not in ("AssertionError", "StopIteration")})
+
+
+def tells(text: str | None) -> bool:
+    return re.search(r"\b[Rr](aises?|efuse[sd]?)\b", text or "") is not None
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_errors_are_said(room: str) -> None:
+    paths = [p for p in files() if p.is_relative_to(ROOT / room)]
+    told = [(p, *c) for p in paths for c in unsaid_errors(ast.parse(p.read_text()), classes(), public_names())]
+    assert not told, "\n".join(f"{path}:{line}: {what}" for path, line, what in told)
+
+
+def test_an_error_that_is_not_said_is_found() -> None:
+    code = '''
+def half(number: float) -> float:
+    """Half of it."""
+    if number < 0:
+        raise ValueError("number is negative")
+    return number / 2
+def third(number: float) -> float:
+    """A third of it. Raises ValueError for negative ones."""
+    if number < 0:
+        raise ValueError("number is negative")
+    return number / 3
+'''
+    found = list(unsaid_errors(ast.parse(code), {}, frozenset({"half", "third"})))
+    assert found == [(2, "half raises ValueError")]
+
+
+#: Arguments that are quantities of one kind wherever they stand, and what tells their unit.
+MEASURES = (
+    *("dt", "period", "duration", "approach", "lag", "deadline", "command_shift", "max_gap"),
+    *("length", "radius", "offset", "diameter", "mass", "tip_mass", "density", "young", "pitch", "angle", "turn"),
+)
+UNIT = re.compile(
+    r"\[[^\]]{1,12}\]|\b(?:in|s|m|mm|ms|rad|deg|degrees?|kg|Hz|Pa|N|steps?|seconds?|parts?|units?)\b|\bas (?:in|for)\b"
+)
+#: Where the next argument of a list begins.
+ENTRY = re.compile(r"\n\s*[\w, ]+(?::|  )")
+
+
+def unitless(tree: ast.Module, names: frozenset[str]) -> Iterator[tuple[int, str]]:
+    """Line and argument or field of public ``names`` that is a time, length or mass and near which no unit stands."""
+    for node in tree.body:
+        if not isinstance(node, Function | ast.ClassDef) or node.name not in names:
+            continue
+        whole = ast.get_docstring(node) or ""
+        parts: list[tuple[str, list[str], str]] = []
+        if isinstance(node, Function):
+            parts.append((node.name, arguments(node), whole))
+        else:
+            if has(node, "dataclass"):
+                parts.append((node.name, fields(node), whole))
+            for m in methods(node):
+                if public(m.name) or m.name == "__init__":
+                    parts.append((f"{node.name}.{m.name}", arguments(m), f"{ast.get_docstring(m) or ''}\n{whole}"))
+        for name, given, text in parts:
+            for measure in sorted(set(given) & set(MEASURES)):
+                places = [f.end() for f in re.finditer(rf"(?<!\w){measure}(?!\w)", text)]
+                if not any(UNIT.search(ENTRY.split(text[at : at + 160])[0]) for at in places):
+                    yield node.lineno, f"{name}: the unit of {measure}"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_units_of_times_lengths_and_masses_are_said(room: str) -> None:
+    paths = [p for p in files() if p.is_relative_to(ROOT / room)]
+    told = [(p, *c) for p in paths for c in unitless(ast.parse(p.read_text()), public_names())]
+    assert not told, "\n".join(f"{path}:{line}: {what}" for path, line, what in told)
+
+
+def test_a_unit_that_is_not_said_is_found() -> None:
+    code = '''
+def wave(period: float, radius: float) -> float:
+    """A wave.
+
+    period  how long it takes
+    radius  [m] of the circle
+    """
+'''
+    assert [what for _, what in unitless(ast.parse(code), frozenset({"wave"}))] == ["wave: the unit of period"]

@@ -48,6 +48,8 @@ class QuantisedCommands(WrappedPlant):
     Args:
         plant: the inner plant.
         unit: smallest change, a number or one an input (n_inputs,), in the unit of the input; zero rounds nothing.
+
+    Raises ValueError for units below zero.
     """
 
     def __init__(self, plant: Plant, unit: ArrayLike) -> None:

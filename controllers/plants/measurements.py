@@ -46,6 +46,8 @@ class NoisyMeasurements(_Random):
         angle: standard deviation in rad of the random rotation of every frame, states named R_xx[k] to R_zz[k]; they
             stay rotations, and ``std`` does not apply to them. Without it they are states like any other.
         seed: of the noise.
+
+    Raises ValueError for an ``angle`` where the plant has no frames.
     """
 
     def __init__(self, plant: Plant, std: ArrayLike | Mapping[str, float], angle: float = 0.0, seed: int = 0) -> None:
@@ -158,6 +160,8 @@ class Outliers(_Random):
         size: length of the jump, in the unit of the states.
         groups: states (names or positions) of which one group at a time is wrong, for instance those of one marker.
         seed: of the outliers.
+
+    Raises ValueError for groups without a state.
     """
 
     def __init__(

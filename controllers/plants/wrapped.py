@@ -33,6 +33,8 @@ class WrappedPlant:
 
     Args:
         plant: the inner plant.
+
+    Raises ValueError for what is no plant.
     """
 
     def __init__(self, plant: Plant) -> None:

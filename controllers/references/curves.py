@@ -31,6 +31,8 @@ class Reference:
     ``function``: (t (N,) from 0 on, start (width,)) -> (N, width), in the units of the outputs. ``width``: their
     number. ``needs_start``: it begins at the measured outputs, ``start`` (width,), which ``starting_at`` supplies; a
     closed loop does that at its start.
+
+    Raises ValueError where it is asked before it knows its start, and for a function of another width.
     """
 
     function: Callable[[Array, Array], Array]

@@ -32,6 +32,8 @@ def twin_dictionaries(twin: Episodes, excitation: Array) -> list[tuple[Dictionar
     excitation  (E, T, m) displacements [m]; ridges are raised until models stay bounded under them
 
     The ridges are ``twin_alpha`` of :class:`pisplit.TwinEDMDc`.
+
+    Raises ValueError for a twin of fewer than two episodes.
     """
     if len(twin) < 2:
         raise ValueError(f"the twin has {len(twin)} episode; expected at least 2, one to learn from and one held out")

@@ -120,6 +120,8 @@ def calibrate_from_shapes(
         input_error: standard deviation in m of the displacements, such as a play between servo and tendons makes.
         capture: markers, where positions of a few points are all that is measured: ``fields`` are then their columns
             (N, K), NaN where one was lost, and the errors and stations above say nothing.
+
+    Raises ValueError where damping is to be found, of which shapes at rest say nothing.
     """
     if capture is not None:
         u = finite_array(inputs, "inputs", (None, arm.scene.n_inputs))

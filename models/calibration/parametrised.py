@@ -52,6 +52,8 @@ class CalibratedTendons(TendonTerm):
         name: name of the input of the displacements.
         disks: number of disks at equal distances, or their arclengths (n,) in m; None: along the backbone.
         rubs: whether friction is looked at; without, its parameters say nothing.
+
+    Raises ValueError for another number of parameters, and for values that are asked of parameters that are inputs.
     """
 
     n_tendons: int

@@ -30,6 +30,8 @@ class StreamingEDMDc(Estimator):
                 it keeps directions that are no longer excited from drifting
 
     With forgetting = 1 and alpha = 0 it equals LinearEDMDc on all pairs.
+
+    Raises ValueError for a ``theta`` that is no Dictionary, and for numbers out of range.
     """
 
     _latest: tuple[Dictionary, Episodes, Pairs] | None

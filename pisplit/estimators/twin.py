@@ -93,6 +93,8 @@ class TwinEDMDc(Estimator):
         as in LinearEDMDc; where the alpha that rolls out best does not stay bounded, larger mu are tried too
         (``twin_alpha_`` is the one that was taken). To fit the twin alone, give its episodes to LinearEDMDc or
         BilinearEDMDc.
+
+        Raises ValueError for a ``twin`` that is no Episodes, and for columns or time steps that differ.
         """
         if not isinstance(twin, Episodes):
             raise ValueError(f"twin is a {type(twin).__name__}; expected Episodes simulated with the physical model")

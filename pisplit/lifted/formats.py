@@ -60,7 +60,10 @@ def to_state_space(model: LiftedModel) -> Any:
 
 
 def to_control(model: LiftedModel) -> Any:
-    """The ``model`` as ``control.StateSpace`` with names, for python-control; ValueError if that is not installed."""
+    """The ``model`` as ``control.StateSpace`` with names, for python-control.
+
+    Raises ValueError if that is not installed.
+    """
     try:
         import control
     except ImportError:

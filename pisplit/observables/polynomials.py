@@ -20,6 +20,8 @@ class Polynomials(OneSided):
     ``each``: largest power of a variable, one number or one a variable; with it ``degree`` may be left out, and all
     products of powers up to ``each`` are taken. ``of`` and ``variables`` choose what the monomials are of: "states" or
     "inputs", and names or positions among them.
+
+    Raises ValueError where neither ``degree`` nor ``each`` is given.
     """
 
     degree: int | None = None

@@ -22,6 +22,8 @@ class Principal(Base):
 
     Quadratic monomials of all fields of an arm are thousands of columns; ``compose(Polynomials(2), Principal.of(x,
     12))`` are 78, and most of what they could tell. ``weights`` W (k, n) and ``mean`` (n,) are data of the dictionary.
+
+    Raises ValueError in a dictionary of another number of states.
     """
 
     weights: Sequence[Sequence[float]] = field(repr=False)
@@ -44,6 +46,8 @@ class Principal(Base):
 
         ``quantities``: groups of states with one scale (:func:`pisplit.regression.scaling.column_scales`); default: all
         states have one unit. States of a quantity in ``omit`` take no part.
+
+        Raises ValueError for more components than the states vary in, and for quantities that they do not have.
         """
         x = finite_array(states, "states", (None, None))
         size = count(number, "number")

@@ -23,6 +23,8 @@ class Radial(OneSided):
     """Functions of r_j = |(v - c_j) / width|; ``kind`` is exp(-r^2 / 2) ("gaussian") or r^2 log r ("thin_plate").
 
     ``centres``: k rows with one entry a variable. ``width``: one number or one a variable [unit of v].
+
+    Raises ValueError where there is no centre.
     """
 
     centres: Sequence[Sequence[float]]
@@ -62,6 +64,8 @@ class Radial(OneSided):
         Distances are in standard deviations of the columns. ``width`` in the same measure; default: the median
         distance between neighbouring centres. k-means starts from spread seeds (Arthur and Vassilvitskii, 2007).
         ``kind``, ``of`` and ``variables`` (d of them) as in the class.
+
+        Raises ValueError for more centres than different rows.
         """
         rows = finite_array(data, "data", (None, None))
         size, rng = count(n_centres, "n_centres"), np.random.default_rng(count(seed, "seed", minimum=0))

@@ -33,6 +33,8 @@ class StrainSet:
     Args:
         name: for tables and messages.
         free: the indices.
+
+    Raises ValueError for indices that are none or do not increase.
     """
 
     name: str

@@ -59,6 +59,9 @@ class Rod:
             jump at its border: put one where the section, its slope or a load jumps. Empty: one element.
         kinks: pairs (s, vector) of an arclength in m at which an element ends and the rotation vector (3,) in rad, in
             the axes of the section before, by which the rod turns there rigidly; a section at s is the one behind.
+
+    Raises ValueError for lengths, curvatures and materials that are none, and for a planar rod that is curved out of
+    its plane.
     """
 
     length: float

@@ -66,6 +66,8 @@ class Stiffness:
         shear: stiffness along the body axes 1 and 2 in N.
         stretch: stiffness in N.
         density: density in kg/m^3.
+
+    Raises ValueError where bending and shear are not two numbers each.
     """
 
     bending: tuple[float, float]

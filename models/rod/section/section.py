@@ -82,6 +82,8 @@ class Tube:
     Args:
         outer, inner: radii in m, ``inner < outer``.
         shear_factor: Timoshenko shear correction (1 = none).
+
+    Raises ValueError for an ``inner`` radius that is not below the outer one.
     """
 
     outer: float
@@ -155,6 +157,8 @@ class Tapered:
 
     Args:
         start, end: two sections of one type, e.g. ``Tapered(Circle(2e-3), Circle(1e-3))``.
+
+    Raises ValueError for sections of two types.
     """
 
     start: Section

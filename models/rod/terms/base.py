@@ -45,6 +45,8 @@ class Base:
         stiffness: of springs in the joint that pull it to the prescribed pose: N/m along slides, N m/rad about a hinge,
             one number for all of one kind of joint or one for each joint coordinate. A force or moment on the joint is
             ``PointWrench(0.0, ...)``.
+
+    Raises ValueError for axes that are none, and for a rotation or spin prescribed beside a hinge.
     """
 
     position: Vector = _ZERO

@@ -34,6 +34,8 @@ class HeldTip:
         axes: world axes along which the position is prescribed, e.g. "xy" for a tip that slides along z.
         velocity, acceleration: of the tip in m/s, m/s^2.
         spin, spin_rate: angular velocity of the tip and its rate in rad/s, rad/s^2.
+
+    Raises ValueError where nothing is held, for axes that are none, and for velocities without a position or rotation.
     """
 
     position: Vector | None = None

@@ -24,6 +24,8 @@ class Input:
     Args:
         name: of the input; terms that use the same name read the same input.
         size: number of entries.
+
+    Raises ValueError for a name that is no text, and a size below one.
     """
 
     name: str

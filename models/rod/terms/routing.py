@@ -25,6 +25,8 @@ class Helix:
         radius: in m.
         pitch: arclength of one turn in m; negative turns clockwise when seen from the tip.
         phase: angle at the base in rad.
+
+    Raises ValueError for a pitch of zero.
     """
 
     radius: float

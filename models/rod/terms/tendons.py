@@ -88,7 +88,7 @@ class Tension:
     """Each tendon is driven by its tension u_i in N, which is not negative: tendons do not push."""
 
     def tension(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
-        """The input itself. ``u`` is the tension in N; path ``length`` and unpulled length ``rest`` do not matter."""
+        """The input itself. ``u`` is the tension in N; path ``length`` and unpulled ``rest`` in m do not matter."""
         return u
 
     def unstretched(self, length: ca.SX, rest: float, u: ca.SX) -> ca.SX:
@@ -133,6 +133,8 @@ class Tendons(TendonTerm):
             it is not given: as when the tendon is being pulled.
         stiction: by how much friction at slow slip exceeds that at fast slip, in parts of it, below five times the
             ``slip_speed`` (Stribeck's curve); in motion alone.
+
+    Raises ValueError for offsets that are none, and for friction at disks where there are no disks.
     """
 
     offsets: Sequence[Route]
