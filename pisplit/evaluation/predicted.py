@@ -105,7 +105,7 @@ def predicted_error(
     if len(known) > MOST:
         known = known.take(np.linspace(0, len(known) - 1, MOST).astype(np.int64))
     z0, commands, before = _starts(model, found, known, excitation)
-    nearest = _Nearest(model, known)
+    nearest = NearestResiduals(model, known)
     squared = _distances(model, nearest, z0, commands, before, chosen)
     scale = _correction(model, found, nearest, chosen)
     return PredictedError(scale * squared, model.dt, squared_unit([model.units[i] for i in chosen]), scale)
@@ -113,7 +113,7 @@ def predicted_error(
 
 def _distances(
     model: LiftedModel,
-    nearest: _Nearest,
+    nearest: NearestResiduals,
     z0: Array,
     commands: Array,
     before: Array,
@@ -145,7 +145,7 @@ def _distances(
     return squared
 
 
-def _correction(model: LiftedModel, episodes: Episodes, nearest: _Nearest, chosen: NDArray[np.int64]) -> float:
+def _correction(model: LiftedModel, episodes: Episodes, nearest: NearestResiduals, chosen: NDArray[np.int64]) -> float:
     """True over predicted error, medians of both, of roll-outs of recordings with the residuals of the others."""
     delays = model.n_delays
     steps = int(np.median([len(u) for u in episodes.us])) - delays
@@ -189,7 +189,7 @@ def _starts(
     return model.lift(x, past), commands, commands[:, 0]
 
 
-class _Nearest:
+class NearestResiduals:
     """Residuals of recorded pairs in the lifted state, found by state and inputs."""
 
     def __init__(self, model: LiftedModel, pairs: Pairs) -> None:
@@ -213,6 +213,18 @@ class _Nearest:
         if own is not None:
             distances[own[:, None] == self.episode] = np.inf
         return np.asarray(self.residuals[np.argmin(distances, axis=1)])
+
+    def mean(self, x: Array, before: Array, u: Array, many: int) -> Array:
+        """Means (E, M) of the residuals of the ``many`` nearest pairs, with shares that fall with their distance.
+
+        Nearest to states ``x`` (E, n), inputs ``before`` (E, m) and the coming inputs ``u`` (E, m).
+        """
+        key = self._key(x, before, u)
+        squares = np.maximum((key**2).sum(axis=1)[:, None] + self.squares - 2.0 * key @ self.keys.T, 0.0)
+        near = np.argpartition(squares, min(many, squares.shape[1]) - 1, axis=1)[:, :many]
+        squares = np.take_along_axis(squares, near, axis=1)
+        shares = 1.0 - squares / np.maximum(squares.max(axis=1, keepdims=True), 1e-300) + 1e-9
+        return np.einsum("ek,ekm->em", shares / shares.sum(axis=1, keepdims=True), self.residuals[near])
 
     def _key(self, x: Array, before: Array, u: Array) -> Array:
         if not self.delays:

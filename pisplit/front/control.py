@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, finite_array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, LoopLog, references
 from pisplit.controllers.plants import ModelPlant
+from pisplit.front.doubted import DoubtedPlant
 from pisplit.models.arm import Arm
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 #: least of them is the best, it goes on by this factor as long as that helps, down to this weight.
 RATE_WEIGHTS = (0.1, 0.02, 1.0)
 LESS, LEAST = 0.2, 1e-6
+#: Times the least error of held-out recordings up to which the second best model stands in for the system.
+AHEAD = 3.0
 #: Steps of a trial that follow the reference, and those at its end in which it has to come to rest.
 MOVING, RESTING = 70, 30
 HORIZON = 20
@@ -69,8 +72,9 @@ class Control:
         """The controller of an identification ``found``; what ``settings`` of :class:`MPC` leave open is chosen.
 
         The rate weight is the one whose loops go best when the plant is another model: each of the two best candidates,
-        fitted without the held-out recordings. Their reference is a held-out recording at half its speed that ends at
-        rest. Limits ``u_max``, ``u_min`` and ``du_max`` as in :class:`MPC`.
+        fitted without the held-out recordings; the best alone, off at every step by what it misses of them
+        (``DoubtedPlant``), where it is far ahead. Their reference is a held-out recording at half its speed that ends
+        at rest. Limits ``u_max``, ``u_min`` and ``du_max`` as in :class:`MPC`.
 
         Raises ValueError where limits or settings do not fit, and where the model cannot hold any of those loops.
         """
@@ -92,7 +96,7 @@ class Control:
             controller = MPC(model, **given)
         else:
             controller, trials = _chosen(found, model, given)
-            notes.append(f"rate weight {trials[0][0]:g}, chosen by loops on {min(2, len(found.rivals))} models")
+            notes.append(f"rate weight {trials[0][0]:g}, chosen by loops on identified models and their errors")
             if trials[0][1] > POOR:
                 told = (
                     f"the best loop on the identified models misses its reference by {trials[0][1]:.2g} of the "
@@ -151,14 +155,14 @@ def _named(reference: references.Reference, controller: MPC) -> references.Refer
 
 def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tuple[MPC, list[tuple[float, float]]]:
     """The controller with the rate weight whose worst loop is best, and all trials, best first."""
-    plants = [estimator.lifted for _, estimator in found.rivals[:2]]
+    plants = _plants(found, MPC(model, rate_weight=RATE_WEIGHTS[0], **given), "observer" in given)
     trials: list[tuple[float, float]] = []
     best, least, weights = None, np.inf, list(RATE_WEIGHTS)
     for weight in weights:
         controller = MPC(model, rate_weight=weight, **given)
         worst = 0.0
-        for plant in plants:
-            worst = max(worst, _trial(controller, plant, found))
+        for plant, path, steps in plants:
+            worst = max(worst, _trial(controller, plant, found, path, steps))
             if worst > least:
                 break
         trials.append((weight, worst))
@@ -175,24 +179,49 @@ def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tup
     return best, sorted(trials, key=lambda t: t[1])
 
 
-def _trial(controller: MPC, plant: Any, found: Identified) -> float:
-    """Error of a loop on a model, in parts of the range of the outputs: while it moves, and where it should rest."""
-    x, u = found.held.xs[0], found.held.us[0]
-    tracked = list(controller.tracked)
-    recorded = x[: MOVING // SLOWER + 1, tracked]
+def _plants(found: Identified, cautious: MPC, noisy: bool) -> list[tuple[ModelPlant, Array, int]]:
+    """Stand-ins of the system, the outputs along which trials go on them, and their steps.
+
+    They are the two best candidates, and a held-out recording at half its speed. Where the second is much worse than
+    the first, what it does would be its own errors: it is the first alone then, off by what it misses of the held-out
+    recordings, and goes where a ``cautious`` controller took it. Not where recordings are ``noisy``: averages of what
+    is missed know nothing of that.
+    """
+    x, errors = found.held.xs[0][0], {t.name: t.error for t in found.report().tried}
+    path, (best, *others) = _slowed(found, cautious), found.rivals[:2]
+    if noisy or any(errors[name] <= AHEAD * errors[best[0]] for name, _ in others):
+        return [(ModelPlant(estimator.lifted, x), path, len(path) + RESTING) for _, estimator in found.rivals[:2]]
+    plant = DoubtedPlant(best[1].lifted, x, found.held)
+    log = _loop(cautious, plant, found, path, len(path) + RESTING)
+    return [(plant, path if log.stopped else log.y, len(path) + RESTING)]
+
+
+def _slowed(found: Identified, controller: MPC) -> Array:
+    """Tracked outputs (T, p) of a held-out recording at half its speed, and then at rest."""
+    recorded = found.held.xs[0][: MOVING // SLOWER + 1, list(controller.tracked)]
     fine = np.arange(0.0, len(recorded) - 1 + 1e-9, 1.0 / SLOWER)
-    y = np.stack([np.interp(fine, np.arange(len(recorded)), c) for c in recorded.T], axis=1)
-    reference = references.from_array(y, plant.dt, track=controller.track)
-    start = np.clip(u[0], controller.u_min, controller.u_max)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        log = ClosedLoop(ModelPlant(plant, x[0]), controller).run(reference, len(y) + RESTING, u0=start, progress=False)
+    return np.stack([np.interp(fine, np.arange(len(recorded)), c) for c in recorded.T], axis=1)
+
+
+def _trial(controller: MPC, plant: ModelPlant, found: Identified, path: Array, steps: int) -> float:
+    """Error of a loop on a stand-in of the system, in parts of the range of the outputs: while it moves, and where it
+    should rest."""
+    log = _loop(controller, plant, found, path, steps)
     if log.stopped:
         return float("inf")
-    scale = found.lifted.state_range[tracked]
+    scale = found.lifted.state_range[list(controller.tracked)]
     missed = np.linalg.norm((log.y - log.reference) / scale, axis=1)
     restless = np.linalg.norm(np.diff(log.y[-RESTING // 2 :], axis=0) / scale, axis=1)
     return float(np.sqrt(np.mean(missed[5:] ** 2)) + restless.mean())
+
+
+def _loop(controller: MPC, plant: ModelPlant, found: Identified, y: Array, steps: int) -> LoopLog:
+    """A loop along outputs ``y`` (T, p), at rest behind their end."""
+    start = np.clip(found.held.us[0][0], controller.u_min, controller.u_max)
+    reference = references.from_array(y, plant.dt, track=controller.track)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return ClosedLoop(plant, controller).run(reference, steps, u0=start, progress=False)
 
 
 def _filtered(found: Identified, model: LiftedModel) -> dict[str, Any]:
