@@ -190,7 +190,7 @@ def _starts(
 
 
 class NearestResiduals:
-    """Residuals of recorded pairs in the lifted state, found by state and inputs."""
+    """Residuals of recorded ``pairs`` in the lifted state of a ``model``, found by state and inputs."""
 
     def __init__(self, model: LiftedModel, pairs: Pairs) -> None:
         delays, x, u = pairs.n_delays, pairs.x, pairs.u
@@ -207,7 +207,10 @@ class NearestResiduals:
         self.episode = np.asarray(pairs.episode)
 
     def residual(self, x: Array, before: Array, u: Array, own: NDArray[np.int64] | None = None) -> Array:
-        """Residuals (E, M) of pairs nearest to states x (E, n) and inputs (E, m), none of recordings ``own`` (E,)."""
+        """Residuals (E, M) of the pairs nearest to states ``x`` (E, n), inputs ``before`` (E, m) and coming ones ``u``.
+
+        None are of the recordings ``own`` (E,).
+        """
         key = self._key(x, before, u)
         distances = self.squares - 2.0 * key @ self.keys.T
         if own is not None:
