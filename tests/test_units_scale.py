@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pisplit import Dictionary, Episodes, LinearEDMDc
+from pisplit import Dictionary, Episodes, LinearEDMDc, horizon_errors
 from pisplit import observables as ob
 from pisplit.data import find_latency
 from pisplit.data.noise import noise_margins
@@ -98,3 +98,12 @@ def test_coordinates_of_noise_alone_do_not_hide_a_late_log() -> None:
 def test_products_have_the_margins_of_their_factors() -> None:
     given = column_scales(np.ones(4), ["a", "a*b", "b^2", "c"], margins={"a": 2.0, "b": 3.0})
     np.testing.assert_allclose(given, [2.0, 6.0, 9.0, 1.0])
+
+
+@pytest.mark.parametrize("units", [["m"] * 8, [""] * 8], ids=["metres", "unknown"])
+def test_errors_by_horizon_are_not_those_of_noise_where_little_moves(units: list[str]) -> None:
+    """A fifth of six of the eight coordinates is noise; the error is told in parts of what moves."""
+    data = recordings(units)
+    theta = Dictionary(ob.Constant(), ob.Identity(), ob.Delays(4, 4), n_states=8, n_inputs=1)
+    found = horizon_errors(LinearEDMDc(theta, alpha=1e-2).fit(data[:6]), data[6:], [1, 10])
+    assert (found.rms[:, 0] > 0.15 * found.spread[0]).all() and (found.normalised < 0.05).all()

@@ -16,8 +16,9 @@ Array = NDArray[np.float64]
 CLEAR = 0.003
 #: Noise of a smaller part of the spread than this is left as it is.
 NOTABLE = 0.02
-#: The most rows that are looked at, and rows for each regressor of the prediction that tells noise from motion.
-ROWS, ROWS_EACH = 20_000, 4
+#: The most rows and entries that are looked at, rows that always are, and rows for each regressor of the prediction
+#: that tells noise from motion.
+ROWS, ENTRIES, FEW_ROWS, ROWS_EACH = 20_000, 200_000, 500, 4
 #: Fewest third differences that noise is told by; it is white if their neighbours have a correlation below this, in
 #: columns that mostly hold their value below that.
 FEWEST, WHITE, JUMPS = 20, -0.5, -0.7
@@ -65,10 +66,10 @@ def _white(xs: list[Array]) -> Array:
 
 
 def _part(episodes: Episodes) -> tuple[list[Array], list[Array]]:
-    """States (T_i + 1, n) and inputs (T_i, m) of the first episodes, ``ROWS`` rows in all."""
+    """States (T_i + 1, n) and inputs (T_i, m) of the first episodes, ``ROWS`` rows in all, fewer of many columns."""
     xs: list[Array] = []
     us: list[Array] = []
-    left = ROWS
+    left = max(FEW_ROWS, min(ROWS, ENTRIES // (episodes.n_states + episodes.n_inputs)))
     for x, u in zip(episodes.xs, episodes.us, strict=True):
         xs.append(np.asarray(x[:left], dtype=np.float64))
         us.append(np.asarray(u[: len(xs[-1]) - 1], dtype=np.float64))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pisplit.brief import brief
 from pisplit.checks import count
 from pisplit.data.episodes import Episodes
+from pisplit.data.noise import noise_margins
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
@@ -33,8 +34,8 @@ class HorizonErrors:
 
     horizons    (H,) steps ahead
     rms         (H, s) root mean square error of every state, in its unit; infinite if a roll-out diverged by then
-    normalised  (H,) root mean square over states of rms / standard deviation of the state in the test data:
-                1 is as bad as predicting the mean
+    normalised  (H,) root mean square over states of rms / spread of its quantity in the test data, or noise where
+                that varies alone: 1 is as bad as predicting the mean; states that hardly move do not decide it
     diverged    (H,) fraction of roll-outs that diverged by then
     starts      number of roll-outs
     names       (s,) of the states, with ``units`` (s,)
@@ -109,8 +110,9 @@ def horizon_errors(
     squared[lost > 0] = np.inf
     rms = np.sqrt(squared / starts)
     spread = _spread([x[:, chosen] for x in episodes.xs])
-    varying = spread > 0.0
-    normalised = np.sqrt(((rms[:, varying] / spread[varying]) ** 2).mean(axis=1)) if varying.any() else rms.max(axis=1)
+    size = _by_quantity(spread, [(episodes.quantities or ())[i] for i in chosen], noise_margins(episodes))
+    varying = size > 0.0
+    normalised = np.sqrt(((rms[:, varying] / size[varying]) ** 2).mean(axis=1)) if varying.any() else rms.max(axis=1)
     return HorizonErrors(
         horizons=ahead,
         rms=rms,
@@ -133,6 +135,13 @@ def _starts(episodes: Episodes, delays: int, longest: int, stride: int) -> Itera
             found = np.concatenate(waiting)
             yield from (found[first : first + SIDE_BY_SIDE] for first in range(0, len(found), SIDE_BY_SIDE))
             waiting = []
+
+
+def _by_quantity(spread: Array, quantities: Sequence[str], margins: Mapping[str, float]) -> Array:
+    """Spread (k,) of the quantity of each state, its root mean square; more where it is noise alone."""
+    labels = np.array(quantities)
+    found = np.array([np.sqrt(np.mean(spread[labels == q] ** 2)) * margins.get(q, 1.0) for q in quantities])
+    return np.asarray(found, dtype=np.float64)
 
 
 def _spread(arrays: Sequence[Array]) -> Array:
