@@ -26,6 +26,7 @@ from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, 
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, plants, references
+from pisplit.lifted.operators import excited_inputs
 from pisplit.models.arm import DiskRobot, disk_robot
 
 DT, HORIZON, SETTLED, DELAYS = 0.03, 20, 100, 3
@@ -81,6 +82,16 @@ def servos(robot: DiskRobot, data: Episodes, how: str) -> Actuator | None:
     return robot.actuator if how else None
 
 
+def behind(servo: Actuator, data: Episodes, rest: Array) -> Episodes:
+    """Recordings ``data`` with positions of the ``servo`` in the place of commands, in the directions of these.
+
+    Play moves positions across that plane, too, but by little: what it does there cannot be learned.
+    """
+    plane = excited_inputs(data.pairs(1))
+    moved = data.through(servo, rest)
+    return replace(moved, us=[plane.offset + (u - plane.offset) @ plane.basis @ plane.basis.T for u in moved.us])
+
+
 def errors(true: Array, log: Any, stop: int) -> tuple[float, float, float]:
     """Of the true tip in mm: RMS on the circle once settled, RMS at rest at the end, and the largest of all."""
     missed = true[:, list(log.tracked)] - log.reference
@@ -122,7 +133,7 @@ def main() -> None:
             pairs = None if size == "all" else int(size)
             estimator, _, how = kind.partition("+")
             servo = servos(robot, data, how)
-            moved = data if servo is None else data.through(servo, robot.arm.rest_inputs)
+            moved = data if servo is None else behind(servo, data, robot.arm.rest_inputs)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 model = fitted(estimator, moved, pairs, given.seed)

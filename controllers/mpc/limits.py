@@ -36,7 +36,7 @@ class InputLimits:
     def coordinates(self, u: Array) -> Array:
         """Coordinates (r,) of the input nearest to u that is inside both the box and the plane."""
         nearest = self._into(u, self.u_min, self.u_max)
-        return self.basis.T @ ((self._on_plane(u) if nearest is None else nearest) - self.offset)
+        return self.basis.T @ ((self.on_plane(u) if nearest is None else nearest) - self.offset)
 
     def project(self, u: Array, u_previous: Array) -> Array:
         """The input (m,) to apply instead of u after u_previous: no limit is violated, not even by a rounding error.
@@ -45,7 +45,7 @@ class InputLimits:
         """
         low = np.maximum(self.u_min, u_previous - self.du_max)
         high = np.minimum(self.u_max, u_previous + self.du_max)
-        if np.abs(self._on_plane(u_previous) - u_previous).max() <= 10 * SPAN_TOLERANCE * self.amplitude.max():
+        if np.abs(self.on_plane(u_previous) - u_previous).max() <= 10 * SPAN_TOLERANCE * self.amplitude.max():
             inside = self._into(u, low, high)
             if inside is not None:
                 return inside
@@ -54,7 +54,8 @@ class InputLimits:
         move *= min(1.0, 1.0 / max(float((np.abs(move) / self.du_max).max()), 1e-300))
         return np.clip(u_previous + move, low, high)
 
-    def _on_plane(self, u: Array) -> Array:
+    def on_plane(self, u: Array) -> Array:
+        """The point (m,) of the plane that is nearest to ``u`` (m,)."""
         return self.offset + self.basis @ (self.basis.T @ (u - self.offset))
 
     @cached_property
@@ -79,7 +80,7 @@ class InputLimits:
             return _nearest(u, low, high, self.normal, self.offset, tolerance)
         for _ in range(200):
             inside = np.clip(u, low, high)
-            u = self._on_plane(inside)
+            u = self.on_plane(inside)
             if np.abs(u - inside).max() <= tolerance:
                 return inside
         return None

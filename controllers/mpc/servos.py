@@ -29,7 +29,7 @@ class Servos:
     command u after u'. The play is taken out of what is sent: the servo is shifted by half of it to the side to which
     the plan goes ``lead`` steps ahead, as many as the lag needs to get there; near its turn a position hardly moves.
     So plans are commands of servos without play, and the position in a step is what the actuator makes of all that was
-    sent.
+    sent, in the plane of the limits: of what play does across it a model knows nothing.
 
     Args:
         actuator: the servos, all alike; None for none.
@@ -130,7 +130,7 @@ class Servos:
             self._state = ActuatorState(command, command, command)
             return command
         found, self._state = self.actuator.simulate(command[None, :], self._dt, self._state, self._inputs)
-        return found[0]
+        return self._limits.on_plane(found[0])
 
     def _free(self, scale: float) -> Array:
         """Positions (H, r) under no moves, in coordinates over ``scale``."""

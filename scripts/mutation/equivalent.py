@@ -349,8 +349,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent(
         "controllers/mpc/limits.py",
-        "if np.abs(self._on_plane(u_previous) - u_previous).max() <= 10 * SPAN_TOLERANCE * self.amplitude.max():",
-        "if np.abs(self._on_plane(u_previous) - u_previous).max() <= 9 * SPAN_TOLERANCE * self.amplitude.max():",
+        "if np.abs(self.on_plane(u_previous) - u_previous).max() <= 10 * SPAN_TOLERANCE * self.amplitude.max():",
+        "if np.abs(self.on_plane(u_previous) - u_previous).max() <= 9 * SPAN_TOLERANCE * self.amplitude.max():",
         "how near to the plane counts as on it: rounding errors are far below either",
     ),
     Equivalent(
