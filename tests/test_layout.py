@@ -58,7 +58,7 @@ MODELS = {
 PARTS = {"pisplit": ("pisplit", PISPLIT), "controllers": ("pisplit.controllers", CONTROLLERS)}
 PARTS["models"] = ("pisplit.models", MODELS)
 #: Hands on names of all rooms when they are asked for; the front door behind it stands above all rooms.
-FACE = (ROOT / "pisplit" / "__init__.py",)
+FACE = (ROOT / "pisplit" / "__init__.py", ROOT / "pisplit" / "__main__.py")
 PARTS["models/rod"] = ("pisplit.models.rod", ROD)
 
 
