@@ -79,7 +79,7 @@ def test_the_c_header_compiles_and_predicts(
 ) -> None:
     model, data = fitted
     if bilinear:
-        model = replace(model, N=1e-2 * np.random.default_rng(1).normal(size=(1, model.n_lifted, model.n_lifted)))
+        model = replace(model, N=1e-3 * np.random.default_rng(1).normal(size=(1, model.n_lifted, model.n_lifted)))
         with pytest.raises(ValueError, match="bilinear"):
             to_state_space(model)
     to_c_header(model, tmp_path / "arm.h", name="arm")
