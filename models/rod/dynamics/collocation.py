@@ -39,10 +39,11 @@ class Collocation(Rebuilt):
         family: "gauss", of order 2 s, which keeps the energy of undamped rods; or "radau" (Radau IIA, order 2 s - 1),
             whose last stage is the end of the step and which damps what is too fast for it (Hairer & Wanner, *Solving
             Ordinary Differential Equations II*, 1996, section IV.5).
+        shared: whether common subexpressions are computed once: see ``motion_residual``.
     """
 
-    def __init__(self, equations: Scene, stages: int, family: str = "gauss") -> None:
-        self.equations, self.stages, self.family = equations, stages, family
+    def __init__(self, equations: Scene, stages: int, family: str = "gauss", shared: bool = False) -> None:
+        self.equations, self.stages, self.family, self.shared = equations, stages, family, shared
         if family == "gauss":
             rule = GaussRule(1.0, stages)
             self.c, self.b, self.a = rule.nodes, rule.weights, rule.integration
@@ -67,7 +68,8 @@ class Collocation(Rebuilt):
     @cached_property
     def residual(self) -> ca.Function:
         """``(xi, xi_t, xi_tt, u) -> residual`` in parts of ``nominal_residual``."""
-        return self.equations.native(self.equations.motion_residual)
+        scene = self.equations
+        return scene.native(scene.shared_motion_residual if self.shared else scene.motion_residual)
 
     def inverse(self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX) -> ca.MX:
         """Inverse (s n, s n) of the iteration matrix at ``x``, ``u0``, ``u1``, ``h``, ``z``: see ``symbols``."""

@@ -18,6 +18,9 @@ from pisplit.models.rod.sharing import in_turn
 if TYPE_CHECKING:
     from pisplit.models.rod.scene import Scene
 
+#: Internal steps after which it pays to share the subexpressions of the residual and of its Jacobian.
+MANY = 3000
+
 
 class Stepper(Propagation):
     """Motion of a scene in equal internal steps: for undamped rods and for hard real time.
@@ -65,6 +68,7 @@ class Stepper(Propagation):
         if self.stages > 3:
             raise ValueError(f"Stepper stages = {stages}; expected 1, 2 or 3")
         self.balance = balance
+        self._moved = 0
 
     @property
     def setting(self) -> tuple[object, ...]:
@@ -79,6 +83,10 @@ class Stepper(Propagation):
         """The functions of one internal step."""
         return Collocation(self.equations, self.stages)
 
+    @cached_property
+    def _shared(self) -> Collocation:
+        return Collocation(self.equations, self.stages, self.collocation.family, shared=True)
+
     # Trajectories ----------------------------------------------------------------------------------------------------
 
     def integrate(self, start: Array, commands: Array, energy: bool = False) -> tuple[Array, dict[str, int]]:
@@ -91,7 +99,8 @@ class Stepper(Propagation):
         """
         layout = self.scene.layout
         x, before = start[layout.moving], start[layout.inputs]
-        march, taken = March(self.collocation, self.tolerance), 0
+        self._moved += self.substeps * len(commands)
+        march, taken = March(self._shared if self._moved > MANY else self.collocation, self.tolerance), 0
         work = np.zeros(len(self.scene.terms) if energy else 0)
         rows = []
         for command in commands:
