@@ -51,6 +51,8 @@ def test_length(bad: Any) -> None:
         (lambda: rod.Tendons([[0.01, 0.0, 0.0]], rod.Tension()), ("offsets", "(1, 3)")),
         (lambda: rod.Input("", 3), ("name",)),
         (lambda: rod.Input("f", 0), ("size", "0")),
+        (lambda: rod.Rod(0.4, rod.Circle(1e-3), STEEL, elements=None), ("elements", "None", "lengths")),  # type: ignore[arg-type]
+        (lambda: rod.Rod(0.4, rod.Circle(1e-3), STEEL, kinks=0.2), ("kinks", "0.2", "pairs")),  # type: ignore[arg-type]
     ],
 )
 def test_terms(build: Callable[[], Any], named: tuple[str, ...]) -> None:

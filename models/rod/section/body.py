@@ -88,18 +88,30 @@ class Rod:
 
     def _checked_kinks(self) -> tuple[tuple[float, tuple[float, ...]], ...]:
         ends, found = np.cumsum(self.elements)[:-1], []
-        for place, vector in self.kinks:
+        try:
+            pairs = [(float(place), vector) for place, vector in self.kinks]
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"Rod kinks = {self.kinks!r}; expected pairs (arclength in m, rotation vector (3,) in rad)"
+            ) from None
+        for place, vector in pairs:
             if not np.any(np.abs(ends - place) < 1e-9 * self.length):
                 raise ValueError(f"Rod kinks at s = {place:g} m; expected the end of an element: give elements= too")
             turn = finite_array(vector, f"Rod kinks at s = {place:g} m", (3,)).tolist()
             if self.strain_set.planar and (turn[0] or turn[2]):
                 raise ValueError("a planar rod turns in its plane only; kinks must be (s, (0, angle, 0))")
             if any(turn):
-                found.append((float(place), tuple(turn)))
+                found.append((place, tuple(turn)))
         return tuple(found)
 
     def _check_elements(self) -> None:
-        lengths = tuple(positive(e, f"Rod elements[{k}]", "m") for k, e in enumerate(self.elements))
+        try:
+            given = tuple(self.elements)
+        except TypeError:
+            raise ValueError(
+                f"Rod elements = {self.elements!r}; expected lengths in m, such as (0.2, 0.3), () for one element"
+            ) from None
+        lengths = tuple(positive(e, f"Rod elements[{k}]", "m") for k, e in enumerate(given))
         object.__setattr__(self, "elements", lengths)
         if lengths and not np.isclose(sum(lengths), self.length, rtol=1e-9, atol=0.0):
             raise ValueError(f"Rod elements add up to {sum(lengths):g} m; expected the length {self.length:g} m")
