@@ -95,8 +95,8 @@ class Control:
         if "rate_weight" in given:
             controller = MPC(model, **given)
         else:
-            controller, trials = _chosen(found, model, given)
-            notes.append(f"rate weight {trials[0][0]:g}, chosen by loops on identified models and their errors")
+            controller, trials, on = _chosen(found, model, given)
+            notes.append(f"rate weight {trials[0][0]:g}, chosen by loops on {on}")
             if trials[0][1] > POOR:
                 told = (
                     f"the best loop on the identified models misses its reference by {trials[0][1]:.2g} of the "
@@ -153,8 +153,8 @@ def _named(reference: references.Reference, controller: MPC) -> references.Refer
     return reference
 
 
-def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tuple[MPC, list[tuple[float, float]]]:
-    """The controller with the rate weight whose worst loop is best, and all trials, best first."""
+def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tuple[MPC, list[tuple[float, float]], str]:
+    """The controller with the rate weight whose worst loop is best, all trials, best first, and what they were on."""
     plants = _plants(found, MPC(model, rate_weight=RATE_WEIGHTS[0], **given), "observer" in given)
     trials: list[tuple[float, float]] = []
     best, least, weights = None, np.inf, list(RATE_WEIGHTS)
@@ -176,7 +176,9 @@ def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tup
             "no rate weight holds a loop on the identified models themselves: widen u_max or du_max, track other "
             "outputs, or give more recordings"
         )
-    return best, sorted(trials, key=lambda t: t[1])
+    alone = isinstance(plants[0][0], DoubtedPlant)
+    on = "the best model and what it misses of held-out recordings" if alone else f"{len(plants)} models"
+    return best, sorted(trials, key=lambda t: t[1]), on
 
 
 def _plants(found: Identified, cautious: MPC, noisy: bool) -> list[tuple[ModelPlant, Array, int]]:
