@@ -17,7 +17,7 @@ from generate_data import load_or_make
 from tqdm import tqdm
 
 from common.loops import HORIZON, TRIAL_JUMPS, Bench, Contest
-from common.pictures import animate, draw_shapes, draw_tracking
+from common.pictures import animate, draw_aim, draw_shapes, draw_tracking
 from common.report import Report, parser, run
 from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc
 from pisplit import observables as ob
@@ -27,7 +27,7 @@ from pisplit.models.arm.physics import ArmPhysics
 from pisplit.models.arm.static_table import equilibrium_table
 from pisplit.models.arm.tendon_arm import TendonArm
 
-STATIONS = 6
+STATIONS, DT = 6, 0.03
 TEST_EPISODES = 4
 #: Models for control: the largest penalty that costs at most 30 % of held-out roll-out error.
 CV_TOLERANCE = 0.3
@@ -82,7 +82,12 @@ def main() -> None:
     arm = TendonArm.paper()
     length = arm.scene.rod.length
     print(arm.scene, end="\n\n")
-    every, d2 = load_or_make(arm, given.data, given.episodes + TEST_EPISODES, given.samples, given.seed)
+    bench = Bench(arm, DT, STATIONS)
+    target = np.array([bench.tip[0] + 0.08, bench.tip[1] + 0.06, np.nan])
+    given.out.mkdir(parents=True, exist_ok=True)
+    draw_aim(arm, bench.tip, given.radius, target, given.out / "arm.png")
+    print(f"{given.out / 'arm.png'}: the arm, the circle and the set-point ({time.perf_counter() - begin:.0f} s)\n")
+    every, d2 = load_or_make(arm, given.data, given.episodes + TEST_EPISODES, given.samples, given.seed, dt=DT)
     d1, test = every[: given.episodes], every[given.episodes :]
 
     table = equilibrium_table(arm, half_width=0.022, stations=STATIONS)
@@ -95,16 +100,14 @@ def main() -> None:
         report.figure(f"{name} open-loop squared shape error, median", errors.median, "m^2")
         report.figure(f"{name} divergent roll-outs", 100 * errors.diverged_fraction, "%")
 
-    bench = Bench(arm, every.dt, STATIONS)
     approach = given.period / 2
-    target = np.array([bench.tip[0] + 0.08, bench.tip[1] + 0.06, np.nan])
     tasks = {
         "circle": references.circle(given.radius, given.period, center=bench.tip[:2], approach=approach),
         "set-point": references.setpoint([target], [0.3]),
     }
     turns = 1 if given.quick else len(TRIAL_JUMPS)
     lifted = tuple(model.lifted for model in models.values())
-    contest = Contest(Bench(arm, every.dt, STATIONS), lifted, table, tasks, given.steps, turns)
+    contest = Contest(Bench(arm, DT, STATIONS), lifted, table, tasks, given.steps, turns)
     found: dict[int, dict[str, LoopLog]] = {}
     for k, logs in tqdm(unordered(contest, range(len(models) + 1)), "closed loops", len(models) + 1, unit="controller"):
         found[k] = logs
@@ -112,7 +115,6 @@ def main() -> None:
     runs = {task: {name: found[k][task] for name, k in order.items()} for task in tasks}
 
     print_table(report, runs, approach, length)
-    given.out.mkdir(parents=True, exist_ok=True)
     draw_tracking(runs, given.out / "tracking.png")
     best = runs["circle"]["PI-EDMDc"]
     draw_shapes(best, STATIONS, given.out / "shapes.png", "PI-EDMDc on the circle")
@@ -120,7 +122,7 @@ def main() -> None:
     best.save(given.out / "run.html")
     report.figure("run time", time.perf_counter() - begin, "s")
     report.write(given.json)
-    print(f"\n{report}\n\npictures in {given.out}: tracking.png, shapes.png, arm.gif, run.html")
+    print(f"\n{report}\n\npictures in {given.out}: arm.png, tracking.png, shapes.png, arm.gif, run.html")
 
 
 def print_table(report: Report, runs: dict[str, dict[str, LoopLog]], approach: float, length: float) -> None:

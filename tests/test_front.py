@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -196,3 +197,24 @@ def test_limits_mirror_about_the_inputs_at_rest(duffing: ps.Episodes, arm: ps.Te
     assert not control.trials and control.controller.track == "tip"
     with pytest.raises(ValueError, match="not below u_max"):
         found.mpc(u_max=-1.0, du_max=0.1, rate_weight=0.1)
+
+
+@pytest.mark.filterwarnings("default")
+def test_where_a_loop_leaves_the_recordings_is_said(arm: ps.TendonArm, d1: ps.Episodes) -> None:
+    """Without limits they are those of the recordings; others, and references beyond what was recorded, are named."""
+    found = ps.identify(d1, arm=arm, candidates=["L-EDMDc"], progress=False)
+    u, tip = d1.stacked_inputs(), d1.stacked_states()[:, list((d1.outputs or {})["tip"])]
+    control = found.mpc(rate_weight=0.1)
+    np.testing.assert_allclose(control.controller.u_max, u.max(axis=0))
+    np.testing.assert_allclose(control.controller.u_min, u.min(axis=0))
+    with pytest.warns(UserWarning, match=r"the limits let tendons\[\d\] go .* times as far as recorded"):
+        found.mpc(u_max=4.0 * u.max(), du_max=0.002, rate_weight=0.1)
+    half = 0.5 * np.ptp(tip[:, :2], axis=0)
+    for radius, said in ((0.5 * half.min(), False), (1.5 * half.max(), True)):
+        path = ps.references.circle(radius=radius, period=1.5, center=tip[:, :2].min(axis=0) + half, approach=0.3)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            log = control.run(arm, path, steps=8, progress=False)
+        texts = [str(w.message) for w in caught if "leaves what was recorded" in str(w.message)]
+        assert len(texts) == said and any("leaves what was recorded" in note for note in log.notes) == said
+        assert all("[6] is to go" in text and "\n" not in text for text in texts)

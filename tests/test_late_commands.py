@@ -113,3 +113,19 @@ def test_arrays_runs_and_units_are_shifted_alike() -> None:
     np.testing.assert_allclose(ms.us[0][:200], u[:200], atol=1e-12)
     with pytest.raises(ValueError, match="command_shift is not a number"):
         Episodes.from_arrays(t, x, late, command_shift="late")
+
+
+@pytest.mark.parametrize("late", [-4, 0, 4])
+def test_what_is_found_is_taken_away_either_way_when_asked(tmp_path: Path, late: int) -> None:
+    """In a table and in arrays; a table with one clock keeps its times, and says so."""
+    x, u = recorded(3)
+    logged = stamped(u, late) if late else u
+    path = table(tmp_path / "run.csv", x, logged)
+    with pytest.warns(UserWarning, match="these are moved by that, as asked" if late else "commands keep their times"):
+        found = read(path, command_shift="found")
+    origin = found.provenance or {}
+    assert origin["command_shift"] == pytest.approx(-late * DT, abs=0.25 * DT) and origin["latency_error"] <= 2.0 * DT
+    assert error(found) < (0.3 * error(read(path, command_shift=0)) if late else 1e-6)
+    with pytest.warns(UserWarning):
+        alike = Episodes.from_arrays(DT * np.arange(N), x, logged, command_shift="found")
+    np.testing.assert_allclose(alike.us[0], found.us[0], atol=1e-6)

@@ -34,6 +34,9 @@ def test_markers_read_their_stations_and_pass_on_the_rest() -> None:
     np.testing.assert_array_equal(seen.reset(), [6, 7, 8, 0, 1, 2])
     np.testing.assert_array_equal(seen.step([0.5]).state, [6.5, 7.5, 8.5, 0.5, 1.5, 2.5])
     assert seen.true_states.shape == (2, 9)
+    called = ps.Markers(Line(), [3], names=["tip X", "tip Y", "tip Z"], input_names=["servo"])
+    assert called.state_names == ("tip X", "tip Y", "tip Z") and called.input_names == ("servo",)
+    np.testing.assert_array_equal(called.reset(), [6, 7, 8])
 
 
 def test_noise_and_losses_are_as_often_as_asked_for_and_repeat() -> None:
@@ -75,6 +78,8 @@ def test_a_restored_plant_goes_on_to_the_last_bit() -> None:
         ({"stations": [1, 1]}, "different numbers"),
         ({"stations": [1], "dropouts": 2.0}, "from 0 to 1"),
         ({"stations": [1], "noise": -1.0}, "noise"),
+        ({"stations": [1], "names": ["x", "y"]}, "expected 3 different names"),
+        ({"stations": [1], "input_names": "pull"}, "expected 1 different names"),
     ],
 )
 def test_wrong_markers_are_refused(given: dict, said: str) -> None:

@@ -81,7 +81,7 @@ def test_the_demo_tracks_better_with_the_model_that_knows_the_arm(demo: tuple[Pa
 
 def test_the_demo_draws_real_pictures(demo: tuple[Path, dict[str, Any], str]) -> None:
     (place,) = {p.parent for p in demo[0].rglob("*.png")}
-    for name in ("tracking.png", "shapes.png", "arm.gif"):
+    for name in ("arm.png", "tracking.png", "shapes.png", "arm.gif"):
         with Image.open(place / name) as picture:
             picture.load()
             assert min(picture.size) >= 300

@@ -87,6 +87,10 @@ def test_commands_that_act_later_are_left_and_said(tmp_path: Path) -> None:
         found = Episodes.from_csv(tmp_path / "run0.csv", **ASK, commands=tmp_path / "servo0.csv")
     assert found.provenance is not None and found.provenance["command_shift"] == 0.0
     assert found.provenance["latency"] == pytest.approx(0.1, abs=found.provenance["latency_error"])
+    with pytest.warns(UserWarning, match="these are moved by that, as asked"):
+        moved = Episodes.from_csv(tmp_path / "run0.csv", **ASK, commands=tmp_path / "servo0.csv", command_shift="found")
+    assert moved.provenance is not None and abs(moved.provenance["latency"]) < 1e-12
+    assert exact(moved) < 0.2 * exact(found)
 
 
 def test_files_go_together_by_their_place_or_all_with_one(tmp_path: Path) -> None:

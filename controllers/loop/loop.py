@@ -31,6 +31,8 @@ DIVERGENCE_FACTOR = 1e3
 #: The run that last used a plant or a controller: another loop must not go on with what it left.
 _LAST: WeakKeyDictionary[Any, object] = WeakKeyDictionary()
 FAR = 3.0  # times the training range beyond which a reference is taken for one in another unit
+#: Parts of the recorded range by which a reference may leave it before that is said.
+ROOM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,8 @@ class ClosedLoop:
         ``message`` says why (``log`` has it too). NaN is taken for not measured: the controller bridges it, counted in
         the log. A loop that swings between its rate limits is warned of, once. Raises ValueError if reference and
         controller do not fit. ``progress``: show a bar. A reference beyond
-        three times the range of the training data is warned of.
+        three times the range of the training data is warned of, and where the model knows what was recorded (that of
+        ``pisplit.identify`` does), one that leaves it by a tenth.
 
         ``log_file``: HDF5 file to which the log is written about once a second while it runs, and whole at the end;
         after a kill ``LoopLog.load`` reads what was flushed. A disk that is full ends no run, and is noted.
@@ -302,6 +305,10 @@ class ClosedLoop:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # an output that is free throughout
             reach = np.nanmax(np.abs(record.wanted), axis=0)
+        left = _left(record.wanted, model, tracked, self._wiring.states.units)
+        if left and not (reach > FAR * model.state_range[tracked]).any():
+            record.notes.append(left)
+            warnings.warn(left, stacklevel=3)
         for i, size, known in zip(tracked, reach, model.state_range[tracked], strict=True):
             if size > FAR * known:
                 unit = f" {self._wiring.states.units[i]}".rstrip()
@@ -311,6 +318,28 @@ class ClosedLoop:
                 )
                 record.notes.append(note)
                 warnings.warn(note, stacklevel=3)
+
+
+def _left(wanted: Array, model: Any, tracked: list[int], units: Sequence[str]) -> str:
+    """Which outputs ``wanted`` (T, p) leave the recordings of the model, in words; nothing where it does not know."""
+    found = model.provenance.get("recorded") if hasattr(model, "provenance") else None
+    if not found:
+        return ""
+    parts = []
+    for column, i in enumerate(tracked):
+        low, high = found["states"][0][i], found["states"][1][i]
+        asked = wanted[:, column][~np.isnan(wanted[:, column])]
+        room = ROOM * (high - low)
+        if len(asked) and (asked.min() < low - room or asked.max() > high + room):
+            unit = f" {units[i]}".rstrip()
+            span = f"{asked.min():.3g} .. {asked.max():.3g}"
+            parts.append(f"{model.state_names[i]} is to go {span}{unit}, recorded {low:.3g} .. {high:.3g}{unit}")
+    return (
+        f"the reference leaves what was recorded, where the model is a guess: {'; '.join(parts)}; a smaller path, or "
+        "recordings that go there, are safer"
+        if parts
+        else ""
+    )
 
 
 def _at(k: int, steps: int, dt: float) -> str:

@@ -22,12 +22,21 @@ class Markers(_Random):
         dropouts: part of the samples at which a marker is lost, from 0 to 1: its coordinates are NaN. The first sample,
             at rest, always arrives.
         seed: of noise and losses.
+        names: what the coordinates are called, three a station, such as the columns of a log; p_x[k] if not given.
+        input_names: what the inputs are called; as the ``plant`` does if not given.
 
-    Raises ValueError for stations that the plant does not have, or has named otherwise.
+    Raises ValueError for stations that the plant does not have, or has named otherwise, and for other numbers of names.
     """
 
     def __init__(
-        self, plant: Plant, stations: Sequence[int], noise: float = 0.0, dropouts: float = 0.0, seed: int = 0
+        self,
+        plant: Plant,
+        stations: Sequence[int],
+        noise: float = 0.0,
+        dropouts: float = 0.0,
+        seed: int = 0,
+        names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
     ) -> None:
         super().__init__(plant, seed)
         numbers = [count(k, "stations") for k in stations]
@@ -35,9 +44,12 @@ class Markers(_Random):
             raise ValueError(f"stations = {list(stations)}; expected different numbers of stations, at least one")
         self.stations = tuple(numbers)
         self.noise, self.dropouts = non_negative(noise, "noise", "m"), _fraction(dropouts)
-        self.state_names = tuple(f"p_{axis}[{k}]" for k in numbers for axis in "xyz")
-        self.state_units = ("m",) * len(self.state_names)
-        self._chosen = _positions(plant, self.state_names)
+        inner = tuple(f"p_{axis}[{k}]" for k in numbers for axis in "xyz")
+        self._chosen = _positions(plant, inner)
+        self.state_names = _names(names, "names", len(inner)) or inner
+        self.state_units = ("m",) * len(inner)
+        if input_names is not None:
+            self.input_names = _names(input_names, "input_names", self.n_inputs)
         self._started = False
 
     @property
@@ -69,3 +81,11 @@ class Markers(_Random):
     def _take(self, own: Any) -> None:
         super()._take(own[0])
         self._started = own[1]
+
+
+def _names(given: Sequence[str] | None, name: str, size: int) -> tuple[str, ...]:
+    """The ``size`` different names that were given, none where none were."""
+    found = () if given is None else tuple(given)
+    if given is not None and (isinstance(given, str) or len(set(found)) < len(found) or len(found) != size):
+        raise ValueError(f"{name} = {given!r}; expected {size} different names")
+    return found

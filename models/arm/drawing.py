@@ -135,7 +135,10 @@ def _material(material: str | rod.Elastic) -> rod.Elastic:
         return material
     if material not in MATERIALS:
         known = ", ".join(map(repr, MATERIALS))
-        raise ValueError(f"material = {material!r}; expected one of {known}, or rod.Elastic(young, shear, density)")
+        raise ValueError(
+            f"material = {material!r}; expected one of {known}, or for others, such as rubbers that differ tenfold, "
+            "rod.Elastic(young, shear, density) in Pa, Pa and kg/m^3 (from pisplit.models import rod)"
+        )
     young, poisson, density = MATERIALS[material]
     return rod.Elastic(young=young, shear=young / (2.0 * (1.0 + poisson)), density=density)
 

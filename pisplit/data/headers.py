@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from itertools import pairwise
 
 from pisplit.data.cells import is_cell, is_number
@@ -92,6 +93,19 @@ def header_of(rows: Sequence[Row], wanted: Sequence[str], limit: int | None = TO
         if value > score:
             best, score = found, value
     return best, False
+
+
+def alike(name: str, names: Sequence[str]) -> str:
+    """What to write in the place of ``name``, which is none of the ``names`` of columns: the end of a sentence."""
+    known = [text for text in names if text]
+    asked, plain = name.casefold(), {text.casefold(): text for text in known}
+    near = [text for text in known if _words(text.casefold())[: len(_words(asked))] == _words(asked)]
+    near = near or [plain[text] for text in get_close_matches(asked, list(plain), n=3, cutoff=0.75)]
+    if near:
+        more = f" and {len(near) - 6} more" if len(near) > 6 else ""
+        return f"; near it are {', '.join(map(repr, near[:6]))}{more}, out of {len(known)}: name each that is meant"
+    more = f" and {len(known) - 12} more" if len(known) > 12 else ""
+    return f"; it has {', '.join(known[:12]) or 'none'}{more}"
 
 
 def start_of(rows: Sequence[Row], size: int) -> int:

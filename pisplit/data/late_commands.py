@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.checks import finite_number
 from pisplit.data.latency import Latency, find_latency
-from pisplit.data.warning import warn
+from pisplit.data.warning import silently, warn
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,54 @@ VISIBLE = 0.3
 SHARP, CHANGES = 2.5, 30
 #: A motion that begins later than so many times its error is told.
 CLEARLY = 1.5
+#: The word for a shift that is whatever is found, either way.
+FOUND = "found"
+
+
+def told(command_shift: Any) -> float | str | None:
+    """A ``command_shift`` in s, ``"found"`` or None, checked. Raises ValueError for anything else."""
+    if command_shift is None or (isinstance(command_shift, str) and command_shift == FOUND):
+        return command_shift
+    if isinstance(command_shift, str):
+        raise ValueError(f"command_shift is not a number: {command_shift!r}; expected seconds, or {FOUND!r}")
+    return finite_number(command_shift, "command_shift")
+
+
+def corrected(made: Callable[[float], dict[str, Any]]) -> dict[str, Any]:
+    """What ``made`` gives for the shift of the commands [s] at which the motion begins with them, if it is known.
+
+    ``made`` makes fields of Episodes of a shift. Warns of the shift, or that none was found.
+    """
+    first = made(0.0)
+    latency = find_latency(first["xs"], first["us"], first["dt"])
+    shift, text = correction(latency)
+    warn(text)
+    found = silently(lambda: made(shift)) if shift else first
+    found["provenance"] |= left(latency, shift)
+    return found
+
+
+def correction(latency: Latency) -> tuple[float, str]:
+    """The shift of the commands [s] that takes a ``latency`` away, either way, and what is said of it."""
+    if latency.delay is None or abs(latency.delay) <= latency.error:
+        seen = "no delay of the motion stands out" if latency.delay is None else f"{latency}: none to tell"
+        return 0.0, f"{seen}; the commands keep their times (command_shift={FOUND!r})"
+    which = "follows its commands by" if latency.delay > 0.0 else "comes before its commands by"
+    late, within = 1e3 * abs(latency.delay), 1e3 * latency.error
+    return latency.delay, (
+        f"the motion {which} {late:.0f} ms (within {within:.0f} ms): these are moved by that, as asked; "
+        f"where the robot itself answers late, MPC wants it as command_delay, in steps"
+    )
+
+
+def left(latency: Latency, shift: float) -> dict[str, Any]:
+    """Provenance of commands that were moved by a ``shift`` [s]: that, and the ``latency`` that is left."""
+    known = latency.delay is not None
+    return {
+        "command_shift": shift,
+        "latency": latency.delay - shift if latency.delay is not None else None,
+        "latency_error": latency.error if known else None,
+    }
 
 
 def found(xs: Sequence[Array], us: Sequence[Array], dt: float) -> dict[str, Any]:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.checks import finite_number
 from pisplit.data import clock
 from pisplit.data.joining import Table, from_columns
-from pisplit.data.late_commands import said
+from pisplit.data.late_commands import FOUND, correction, said
+from pisplit.data.late_commands import told as told_shift
 from pisplit.data.latency import Latency, find_latency
-from pisplit.data.warning import warn
+from pisplit.data.warning import silently, warn
 
 Array = NDArray[np.float64]
 
@@ -30,14 +30,14 @@ def from_two_clocks(
     commands: Sequence[Table],
     states: Sequence[str],
     inputs: Sequence[str],
-    told: tuple[str | float | None, float | None],
+    told: tuple[str | float | None, str | float | None],
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Fields of Episodes of ``sensors`` with columns ``states`` and of ``commands`` with columns ``inputs``.
 
     told     unit of the times of commands where their files name none (None: that of the sensors if it is a text, or
              s), and what is added to them [s] (None: what the data tell, if the motion comes before its commands, which
-             is warned of)
+             is warned of; "found": what they tell, either way)
     options  as in :func:`pisplit.data.recordings.from_arrays`
 
     Each file of sensors goes with the file of commands of the same place in the list, or with the only one. Commands
@@ -56,7 +56,8 @@ def from_two_clocks(
     plain = {key: value for key, value in options.items() if key not in ("time_unit", "ranges")}
     unit = options.get("time_unit")
     units = unit, told[0] if told[0] is not None else unit if isinstance(unit, str) else None
-    known = None if told[1] is None else finite_number(told[1], "command_shift")
+    asked = told_shift(told[1])
+    known = asked if isinstance(asked, float) else None
 
     def fields(shift: float, more: Mapping[str, Any]) -> dict[str, Any]:
         merged = [_merged(s, c, units, shift) for s, c in zip(sensors, paired, strict=True)]
@@ -64,11 +65,15 @@ def from_two_clocks(
 
     ranges = {"ranges": options["ranges"]} if "ranges" in options else {}
     first = fields(known or 0.0, ranges)
-    finest = first if options.get("dt") is None else _silently(lambda: fields(known or 0.0, {**ranges, "dt": None}))
+    finest = first if options.get("dt") is None else silently(lambda: fields(known or 0.0, {**ranges, "dt": None}))
     seen = finest if finest["dt"] < first["dt"] else first  # the sensors tell more than the steps that are made of them
     latency = find_latency(seen["xs"], seen["us"], seen["dt"])
-    shift, text = (known, None) if known is not None else _shift(latency, first["dt"], _hold(first["us"], first["dt"]))
-    found = first if shift == (known or 0.0) else _silently(lambda: fields(shift, ranges))
+    shift, text = known or 0.0, None
+    if asked == FOUND:
+        shift, text = correction(latency)
+    elif known is None:
+        shift, text = _shift(latency, first["dt"], _hold(first["us"], first["dt"]))
+    found = first if shift == (known or 0.0) else silently(lambda: fields(shift, ranges))
     if text:
         warn(text)
     found["provenance"].pop("incomplete_samples")  # rows of both clocks: most have no command
@@ -102,15 +107,6 @@ def _shift(latency: Latency, dt: float, hold: float) -> tuple[float, str | None]
             f"command_shift={latency.delay:.3g} says it, a shift that is known is better"
         )
     return 0.0, said(latency, dt) or None
-
-
-def _silently(made: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What was said of the recording when it was first made is not said again."""
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return made()
 
 
 def _merged(sensors: Table, commands: Table, units: tuple[Any, Any], shift: float) -> Table:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pisplit.checks import finite_number, one_of, positive, real_array
+from pisplit.checks import one_of, positive, real_array
 from pisplit.data import clock, late_commands, recording_checks, resampling, screening, wraps
 from pisplit.data.columns import default_names, labels, table_columns
 from pisplit.data.resampling import BRIDGED, Signal
@@ -45,7 +45,7 @@ def from_arrays(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     episode: ArrayLike | None = None,
     screen: Sequence[str] = screening.KINDS,
-    command_shift: float | None = None,
+    command_shift: float | str | None = None,
     **fields: Any,
 ) -> dict[str, Any]:
     """Fields of :class:`pisplit.Episodes`, by name, of a recording: its samples, brought to steps of one length.
@@ -68,7 +68,7 @@ def from_arrays(
                    "stalls", readings repeated to the last digit while the inputs move; () keeps all
     command_shift  [s] that is added to the times of the inputs, for commands whose stamps are late (negative) or early;
                    None: none, and where the motion comes before its commands, or follows them by more than a step,
-                   this is said. A number says that it is known
+                   this is said. A number says that it is known; "found" moves them by what is found, either way
     fields         state_names, input_names, quantities, units (of states whose unit has no factor to SI), outputs and
                    provenance of :class:`pisplit.Episodes`
 
@@ -80,6 +80,10 @@ def from_arrays(
     Raises ValueError for times that do not increase, numbers that are infinite, unknown units, readings out of range,
     a dt a hundred times below the spacing, and if nothing is left.
     """
+    asked = late_commands.told(command_shift)
+    if asked == late_commands.FOUND:
+        plain = (dt, interpolation, max_gap, state_units, input_units, time_unit, ranges, episode, screen)
+        return late_commands.corrected(lambda found: from_arrays(t, x, u, *plain, found, **fields))
     one_of(interpolation, "interpolation", INTERPOLATIONS)
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
@@ -101,7 +105,7 @@ def from_arrays(
     wraps.say(times, states, members, names[0])
     if ranges:
         recording_checks.check_ranges(ranges, [*names[0], *names[1]], np.hstack([states, inputs]), times)
-    shift = 0.0 if command_shift is None else finite_number(command_shift, "command_shift")
+    shift = asked if isinstance(asked, float) else 0.0
     signals = [_signals(times[rows], states[rows], inputs[rows], shift) for rows in members.values()]
     recording_checks.check_read(signals, names)
     step = _step(dt, [run for run, _ in signals], names[0], told=t is None or time_unit is not None)
@@ -122,7 +126,7 @@ def from_arrays(
             kept += int(((times[rows] >= grid[0]) & (times[rows] < grid[-1] + step)).sum())
     recording_checks.say_what_is_lost(len(xs), short, kept, states, inputs, times, names, step)
     recording_checks.say_how_it_is_cut(cut, [run for run, _ in signals], names[0], step, gap)
-    lag = late_commands.found(xs, us, step) if command_shift is None else {"command_shift": shift}
+    lag = late_commands.found(xs, us, step) if asked is None else {"command_shift": shift}
     missing = ~(np.isfinite(states).all(axis=1) & np.isfinite(inputs).all(axis=1) & np.isfinite(times))
     origin = {
         "samples": len(times),

@@ -34,7 +34,7 @@ def from_csv(
     commands: Paths | None = None,
     command_time: str | Sequence[str] | None = None,
     command_time_unit: str | float | None = None,
-    command_shift: float | None = None,
+    command_shift: float | str | None = None,
     **options: Any,
 ) -> dict[str, Any]:
     """Fields of :class:`pisplit.Episodes`, by name, of text tables.
@@ -56,7 +56,8 @@ def from_csv(
                     or s
     command_shift   [s] that is added to the times of commands; default: found from the data where the motion comes
                     before the commands of files of their own; commands in the same file keep their times, and this is
-                    warned of. How far the motion follows its commands is warned of, and stands in ``provenance``
+                    warned of. How far the motion follows its commands is warned of, and stands in ``provenance``.
+                    "found" moves them by what is found, either way
     options         as in :func:`pisplit.data.recordings.from_arrays`. Units that the file names, in brackets behind a
                     name or in a row below, count where ``state_units``, ``input_units``, ``time_unit`` are not given;
                     "" takes numbers as they are
@@ -210,7 +211,7 @@ def _fault(
             hint = hint or "; rename them, or give names= for all columns"
             return f"{path} has several columns {name!r}; it has {', '.join(header.names[:8])}{hint}"
         if not found:
-            return f"{path} has no column {name!r}; it has {', '.join(filter(None, header.names[:12])) or 'none'}"
+            return f"{path} has no column {name!r}{headers.alike(name, header.names)}"
     return f"{path} is no table"
 
 

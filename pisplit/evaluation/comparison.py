@@ -154,11 +154,11 @@ class LearningCurve:
 
     def __str__(self) -> str:
         width = max(map(len, ("pairs", *self.errors)))
-        lines = [f"{'pairs':<{width}}" + "".join(f"{size:>29}" for size in self.sizes)]
+        lines = [f"{'pairs':<{width}}" + "".join(f"{size:>31}" for size in self.sizes)]
         for name in self.errors:
             low, middle, high = (self.quantile(name, q) for q in (0.25, 0.5, 0.75))
             cells = [f"{b:.2e} [{a:.2e}, {c:.2e}]" for a, b, c in zip(low, middle, high, strict=True)]
-            lines.append(f"{name:<{width}}" + "".join(f"{cell:>29}" for cell in cells))
+            lines.append(f"{name:<{width}}" + "".join(f"{cell:>31}" for cell in cells))
         for name in self.errors:
             said = [message for who, _, _, message in self.refusals if who == name]
             if said:

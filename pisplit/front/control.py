@@ -16,6 +16,7 @@ from pisplit.checks import Array, finite_array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, LoopLog, references
 from pisplit.controllers.plants import ModelPlant
 from pisplit.front.doubted import DoubtedPlant
+from pisplit.front.reach import beyond, limits
 from pisplit.models.arm import Arm
 
 if TYPE_CHECKING:
@@ -64,8 +65,8 @@ class Control:
     def of(
         cls,
         found: Identified,
-        u_max: ArrayLike,
-        du_max: ArrayLike,
+        u_max: ArrayLike | None,
+        du_max: ArrayLike | None,
         u_min: ArrayLike | None,
         settings: Mapping[str, Any],
     ) -> Control:
@@ -74,23 +75,26 @@ class Control:
         The rate weight is the one whose loops go best when the plant is another model: each of the two best candidates,
         fitted without the held-out recordings; the best alone, off at every step by what it misses of them
         (``DoubtedPlant``), where it is far ahead. Their reference is a held-out recording at half its speed that ends
-        at rest. Limits ``u_max``, ``u_min`` and ``du_max`` as in :class:`MPC`.
+        at rest. Limits ``u_max``, ``u_min`` and ``du_max`` as in :class:`MPC`, those of the recordings where they are
+        not given; limits far outside these are warned of.
 
         Raises ValueError where limits or settings do not fit, and where the model cannot hold any of those loops.
         """
         model, rest = found.lifted, found.case.rest
-        high = np.broadcast_to(np.asarray(u_max, dtype=np.float64), rest.shape)
-        low = 2.0 * rest - high if u_min is None else np.broadcast_to(np.asarray(u_min, dtype=np.float64), rest.shape)
-        given = {"horizon": HORIZON, "u_min": low.copy(), "u_max": high.copy(), "du_max": du_max, **settings}
+        low, high, change = limits(found.case.d1, rest, u_max, u_min, du_max)
+        given = {"horizon": HORIZON, "u_min": low, "u_max": high, "du_max": change, **settings}
         if "track" not in given:
             given["track"] = "tip" if "tip" in model.outputs else [model.state_names[0]]
         seen = {} if "observer" in given else _filtered(found, model)
         given |= seen
         notes = [
-            f"limits {_text(low)} .. {_text(high)}, {_text(np.asarray(du_max))} a step",
+            f"limits {_text(low)} .. {_text(high)}, {_text(np.asarray(change))} a step",
             f"horizon {given['horizon']}",
             *(["Kalman filter, told the noise of the recordings"] if seen else []),
         ]
+        if far := beyond(found.case.d1, rest, low, high):
+            notes.append(far)
+            warnings.warn(far, stacklevel=3)
         trials: list[tuple[float, float]] = []
         if "rate_weight" in given:
             controller = MPC(model, **given)

@@ -20,6 +20,7 @@ from pisplit.data.sums import not_episodes
 from pisplit.front.candidates import CANDIDATES, Candidate, by_hand, fitted
 from pisplit.front.case import GROUPS, Case
 from pisplit.front.judgement import helps, unfit
+from pisplit.front.reach import recorded
 from pisplit.front.report import Report, Tried
 from pisplit.models.arm import Arm, MotionCapture, fields_from_markers
 from pisplit.models.arm.resting import RestShapes
@@ -62,7 +63,8 @@ class Identified:
     def lifted(self) -> LiftedModel:
         """The model, z+ = A z + B phi(u) (+ sum_i u_i N_i z), y = C z; its provenance holds the report."""
         model: LiftedModel = self.estimator.lifted
-        return replace(model, provenance={**model.provenance, "report": self._report.as_dict()})
+        told = {"report": self._report.as_dict(), "recorded": recorded(self.case.d1)}
+        return replace(model, provenance={**model.provenance, **told})
 
     def report(self) -> Report:
         """What was tried, errors to expect, what the model is not fit for, what would help, and the code; print it."""
@@ -88,12 +90,18 @@ class Identified:
 
         return plot_identified(self, path)
 
-    def mpc(self, u_max: ArrayLike, du_max: ArrayLike, u_min: ArrayLike | None = None, **settings: Any) -> Control:
+    def mpc(
+        self,
+        u_max: ArrayLike | None = None,
+        du_max: ArrayLike | None = None,
+        u_min: ArrayLike | None = None,
+        **settings: Any,
+    ) -> Control:
         """A model predictive controller; what is not given is chosen by loops on the models (``Control.of``).
 
-        u_max, u_min   limits of the inputs, numbers or (m,), in their unit; ``u_min`` mirrors ``u_max`` at rest if not
-                       given
-        du_max         largest change per step, a number or (m,)
+        u_max, u_min   limits of the inputs, numbers or (m,), in their unit; those of the recordings if not given, but
+                       ``u_min`` mirrors a given ``u_max`` at rest
+        du_max         largest change per step, a number or (m,); that of the recordings if not given
         settings       of :class:`pisplit.controllers.MPC`, such as horizon, track or rate_weight
         """
         from pisplit.front.control import Control

@@ -35,7 +35,8 @@ def plot_identified(found: Identified, path: str | os.PathLike[str] | None) -> F
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         x = model.predict(start.x_history, start.u_history, start.inputs).x
-    group = model.outputs.get("tip") or range(min(3, model.n_states))
+    moved = np.argsort(-np.ptp(start.states, axis=0), kind="stable")[:3]  # those that move most tell most
+    group = model.outputs.get("tip") or [int(i) for i in np.sort(moved)]
     t = model.dt * np.arange(len(x))
     for i in group:
         (line,) = one.plot(t, start.states[:, i], lw=1.0, label=model.state_names[i])

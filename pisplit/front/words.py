@@ -46,7 +46,7 @@ def add_words(command: argparse.ArgumentParser) -> None:
     add("--commands", nargs="+", metavar="FILE", help="CSV files of the inputs, which have a clock of their own")
     add("--command-time", metavar="NAME", help="column of the times there")
     add("--command-time-unit", metavar="UNIT", help="of them")
-    add("--command-shift", type=float, help="s to add to the times of commands; negative where they are stamped late")
+    add("--command-shift", help="s to add to the times of commands, negative where they are stamped late, or found")
     add("--names", nargs="+", metavar="NAME", help="of all columns, for CSV files without a header")
     add("--delimiter", help="of CSV files, one character, tab or blank")
     add("--decimal", choices=[".", ","], help="mark of numbers in CSV files")
@@ -78,7 +78,7 @@ def _options(given: argparse.Namespace, words: tuple[str, ...]) -> Mapping[str, 
     for name in ("state_units", "input_units"):
         if name in found and len(found[name]) == 1:
             found[name] = found[name][0]
-    for name in ("time_unit", "command_time_unit"):
+    for name in ("time_unit", "command_time_unit", "command_shift"):
         if name in found:
             found[name] = _ticks(found[name])
     if "delimiter" in found:

@@ -20,11 +20,14 @@ from tqdm import tqdm
 from common.drawing import save_figure
 from pisplit.controllers import LoopLog
 from pisplit.files import replacing
+from pisplit.models.arm.tendon_arm import TendonArm
 
 Array = NDArray[np.float64]
 
 #: Frames a second of animations.
 RATE = 15
+#: Points of a circle that statics are solved for.
+AROUND = 25
 COLOURS = {"feed-forward": "#999999", "L-EDMDc": "#d95f02", "PI-EDMDc": "#1b6ca8", "PI-EDMDc LASSO": "#2a9d5c"}
 plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.25, "axes.spines.top": False})
 plt.rcParams.update({"axes.spines.right": False, "legend.frameon": False, "savefig.dpi": 130})
@@ -52,6 +55,32 @@ def draw_tracking(runs: dict[str, dict[str, LoopLog]], path: Path) -> None:
     entries |= {name: Line2D([], [], color=COLOURS[name], lw=2.0) for name in next(iter(runs.values()))}
     entries |= {name: Line2D([], [], color="k", ls=line, lw=1.1) for name, line in styles.items()}
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=len(entries))
+    save_figure(figure, path)
+
+
+def draw_aim(arm: TendonArm, middle: Array, radius: float, target: Array, path: Path) -> None:
+    """The arm at rest and as it holds the set-point, tendons coloured by tension, and the circle, by statics.
+
+    ``middle`` (3,) of the circle of a ``radius`` and the ``target`` (3,) are in m; their heights are free.
+    """
+    statics = arm.scene.statics()
+    angles = np.linspace(0.0, 2.0 * np.pi, AROUND)
+    free = np.full(AROUND, np.nan)
+    circle = np.column_stack([middle[0] + radius * np.cos(angles), middle[1] + radius * np.sin(angles), free])
+    held, u = [], arm.rest_inputs
+    for point in np.vstack([circle, target]):
+        found = statics.inverse(point, start=u)
+        if found.success:
+            u = found.u
+            held.append((u, 1e3 * found.equilibrium.tip))
+    if not held:
+        raise ValueError("statics reach no point of the circle; give a smaller --radius")
+    figure = arm.plot([arm.rest_inputs, held[-1][0]], "what the tip is to follow")
+    axis: Any = figure.axes[0]
+    tips = np.array([tip for _, tip in held])
+    axis.plot(*tips[:-1].T, "k--", lw=1.0, label="circle")
+    axis.plot(*tips[-1:].T, "k+", ms=10, mew=1.6, label="set-point")
+    axis.legend(loc="upper left", frameon=False)
     save_figure(figure, path)
 
 
