@@ -16,19 +16,11 @@ ROOT = Path(__file__).resolve().parent.parent
 #: What stands before the first block of a page, and replacements of text that shorten its blocks.
 BEFORE = {
     "docs/control.md": """
-import numpy as np
-from pisplit import Dictionary, LinearEDMDc, observables as ob
-from pisplit.controllers import MPC, references
-from pisplit.models.arm import TendonArm, make_episodes
-arm = TendonArm.paper(3)
-d1 = make_episodes(arm, "d1.h5", episodes=3, steps=60, workers=1, progress=False)
-theta = Dictionary(ob.Constant(), ob.Identity(), ob.Delays(inputs=1), n_states=d1.n_states, n_inputs=d1.n_inputs)
-model = LinearEDMDc(theta, alpha=1e-4).fit(d1)
-mpc = MPC(model.lifted, horizon=20, u_min=-0.014, u_max=0.016, du_max=0.002, track="tip")
-reference = references.circle(radius=0.02, period=4.0)
-sim = arm.scene.simulator(dt=0.03)
-state = sim.reset(arm.rest_inputs)
 def read_sensors():
+    global sim, state
+    if "state" not in globals():
+        sim = arm.scene.simulator(dt=0.03)
+        state = sim.reset(arm.rest_inputs)
     return state
 def send_command(u):
     global state
@@ -112,7 +104,11 @@ SHORTER = {
         "tendons=3)": "tendons=3, nodes=3)",
         "np.linspace(0.0, 1.0, 20)": "np.linspace(0.0, 0.1, 3)",
     },
-    "docs/control.md": {"steps=400": "steps=10"},
+    "docs/control.md": {
+        "TendonArm.paper()\nd1": "TendonArm.paper(3)\nd1",
+        "arm.record(10)": "arm.record(3, steps=60, workers=1, progress=False)",
+        "steps=400": "steps=10",
+    },
     "docs/identification.md": {
         "episodes=96": "episodes=4, steps=40, progress=False",
         "calibrate_from_equilibria(arm, u_rest, x_rest)": "calibrate_from_equilibria(arm, u_rest[:4], x_rest[:4])",

@@ -48,6 +48,10 @@ def test_a_rod_without_tendons_is_drawn_too(tmp_path: Path) -> None:
     run = bare.simulator(0.03).run(np.zeros((4, 0)), check=False)
     for figure in (pictures.plot_arm(bare, run.x), pictures.plot_strip(run, moments=3)):
         figure.savefig(tmp_path / "bare.png")
+    for pull, down in ((9.81, True), (-9.81, False)):  # what hangs is drawn hanging
+        scene = bare.without(rod.Gravity) + rod.Gravity((0.0, 0.0, pull))
+        strip = pictures.plot_strip(scene.simulator(0.03).run(np.zeros((1, 0)), check=False), moments=2)
+        assert strip.axes[0].yaxis_inverted() == down
 
 
 def test_tendons_are_coloured_by_their_tension() -> None:

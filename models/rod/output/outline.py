@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, real_array
 from pisplit.models.rod.analysis.fields import N_FIELDS
-from pisplit.models.rod.output.pictures import shape_of, tensions
-from pisplit.models.rod.terms.gravity import Gravity
+from pisplit.models.rod.output.pictures import shape_of, tensions, upwards
 from pisplit.pictures import Chart, Outline, Page
 from pisplit.pictures.figures import labelled
 
@@ -21,15 +20,6 @@ if TYPE_CHECKING:
 
 #: Every second of the points of a picture does in a page.
 EVERY = 2
-
-
-def upwards(scene: Scene) -> tuple[float, float, float]:
-    """Unit vector (3,) against the constant gravity of ``scene``; +z where there is none."""
-    pull = [t.acceleration for t in scene.terms if isinstance(t, Gravity) and not t.inputs]
-    down = np.sum([np.asarray(g, dtype=float) for g in pull], axis=0) if pull else np.zeros(3)
-    size = float(np.linalg.norm(down))
-    x, y, z = (-down / size).tolist() if size > 0.0 else (0.0, 0.0, 1.0)
-    return x, y, z
 
 
 def outline_of(scene: Scene, states: ArrayLike) -> Outline:

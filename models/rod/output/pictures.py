@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.files import replacing
+from pisplit.models.rod.terms.gravity import Gravity
 from pisplit.models.rod.terms.routing import sample
 from pisplit.models.rod.terms.tendons import Tendons
 from pisplit.pictures.figures import new_figure, tidy
@@ -103,6 +104,15 @@ def _placed(scene: Scene, x: Array, places: Array) -> tuple[Array, Array]:
     return 1e3 * y[..., :3], y[..., 3:12].reshape(*y.shape[:2], 3, 3)
 
 
+def upwards(scene: Scene) -> tuple[float, float, float]:
+    """Unit vector (3,) against the constant gravity of ``scene``; +z where there is none."""
+    pull = [t.acceleration for t in scene.terms if isinstance(t, Gravity) and not t.inputs]
+    down = np.sum([np.asarray(g, dtype=float) for g in pull], axis=0) if pull else np.zeros(3)
+    size = float(np.linalg.norm(down))
+    x, y, z = (-down / size).tolist() if size > 0.0 else (0.0, 0.0, 1.0)
+    return x, y, z
+
+
 def plot_arm(scene: Scene, states: ArrayLike, title: str = "") -> Figure:
     """The arm in 3-D, its tendons coloured by tension.
 
@@ -155,6 +165,8 @@ def plot_strip(trajectory: Trajectory, moments: int = 9, title: str = "") -> Fig
         strip.plot(*(shape.plates[k][0][:, [across, 2]] + shift).T, color=BACKBONE, lw=2.5)
     strip.set_xticks([k * pitch for k in range(len(chosen))], [f"{trajectory.t[k]:.2f} s" for k in chosen])
     strip.set(ylabel="z (mm)", title=title or f"shapes over time, seen along {'yx'[across]}", aspect="equal")
+    if upwards(scene)[2] < -0.5:  # an arm that hangs is drawn so
+        strip.invert_yaxis()
     _colour_bar(figure, strip, colours)
     tip = 1e3 * trajectory.fields(1)[:, 0, :3]
     for name, values in zip("xyz", tip.T, strict=True):

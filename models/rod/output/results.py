@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pisplit.models.rod.output.outline import upwards
-from pisplit.models.rod.output.pictures import PATH, plot_arm
+from pisplit.models.rod.output.pictures import PATH, plot_arm, upwards
 from pisplit.pictures.figures import MEASURED, keep, new_figure, tidy
 
 if TYPE_CHECKING:
