@@ -45,6 +45,13 @@ def test_tables_to_a_model_to_a_report_to_a_header(tmp_path: Path, capsys: pytes
     assert main(["identify", *map(str, runs), *columns, *lean]) == 0
     assert main(["export", str(model), "--c", str(tmp_path / "model.h")]) == 0
     assert "static const" in (tmp_path / "model.h").read_text()
+    capsys.readouterr()
+    for more, said in (
+        ([], "is a model of x, v and inputs u; track runs models of the simulated arm (p_x[1], "),
+        (["--out", "run.txt"], "expected .png, .html, .h5"),
+    ):
+        assert main(["track", str(model), *more]) == 1
+        assert said in capsys.readouterr().err
 
 
 def test_commands_in_files_of_their_own_and_other_words_of_tables(
@@ -154,6 +161,8 @@ def test_a_saved_model_tracks_an_arm(tmp_path: Path, capsys: pytest.CaptureFixtu
     found = json.loads(capsys.readouterr().out)
     assert found["rms_error"] < 0.1 * 0.03 and found["steps"] == 80
     text = page.read_text()
+    assert main(["track", str(model), "--radius", "0.03", "--steps", "5"]) == 0
+    assert "the run ends before; give more --steps" in capsys.readouterr().out
     assert page.stat().st_size < 5e6 and "http" not in text and "<link" not in text and "src=" not in text
 
 
@@ -178,3 +187,17 @@ def test_the_program_is_there() -> None:
     run = [sys.executable, "-m", "pisplit.front.commands", "--version"]
     done = subprocess.run(run, capture_output=True, text=True, env=dict(os.environ))
     assert done.returncode == 0 and done.stdout.strip() == f"pisplit {ps.__version__}"
+
+
+def test_who_reads_no_further_is_no_error(tmp_path: Path) -> None:
+    """As in ``pisplit report model.h5 --json | head -1``: an exit code, no traceback."""
+    code = (
+        "import sys; from pisplit.front import commands\n"
+        "commands._export = lambda given: ({'long': 'x' * 1_000_000}, 0)\n"
+        "sys.exit(commands.main(['export', 'm.h5', '--c', 'm.h', '--json']))"
+    )
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert done.returncode == 1 and done.stderr == ""

@@ -57,7 +57,7 @@ import numpy as np
 from pathlib import Path
 import messy_log
 rng = np.random.default_rng(0)
-messy_log.write(Path("log"), [messy_log.simulated(rng, 6.0) for _ in range(3)], rng)
+messy_log.write(Path("out/messy-log"), [messy_log.simulated(rng, 6.0) for _ in range(3)], rng)
 sys.path.pop(0)
 """,
     "docs/front.md": """

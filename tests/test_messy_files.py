@@ -369,6 +369,11 @@ def refusals() -> list[File]:
         File("names miscounted", plain(""), {"names": ["t", "x", "y"]}, refused="no line of 3 numbers"),
         File("no such column", plain("t,x,z,u"), refused="has no column 'y'; it has t, x, z, u"),
         File("a name too short", plain("t,x 1,x 2,u"), {"states": ["x"]}, refused="near it are 'x 1', 'x 2', out of 4"),
+        File(
+            "names with blanks, none of them asked for",
+            plain("time [s],tip x [mm],tip y [mm],u [mm]"),
+            refused="it has time \\[s\\], tip x \\[mm\\]",
+        ),
         File("a name misspelt", plain("t,tip_x,tip_y,u"), {"states": ["Tip_X"]}, refused="near it are 'tip_x'"),
         File("twice the same name", plain("t,x,x,u"), {"states": ["x"]}, refused="several columns 'x'"),
         File(

@@ -98,7 +98,7 @@ def header_of(rows: Sequence[Row], wanted: Sequence[str], limit: int | None = TO
 def alike(name: str, names: Sequence[str]) -> str:
     """What to write in the place of ``name``, which is none of the ``names`` of columns: the end of a sentence."""
     known = [text for text in names if text]
-    asked, plain = name.casefold(), {text.casefold(): text for text in known}
+    asked, plain = name.casefold(), {BRACKETS.sub(r"\1", text).casefold(): text for text in known}
     near = [text for text in known if _words(text.casefold())[: len(_words(asked))] == _words(asked)]
     near = near or [plain[text] for text in get_close_matches(asked, list(plain), n=3, cutoff=0.75)]
     if near:

@@ -176,11 +176,13 @@ def _header(
             header, complete = headers.header_of(rows, wanted)
         if complete:
             return header, mark
-        width = max((len(row) for _, row in rows[:20]), default=0)
-        tried.append((sum(bool(header.find(name)) for name in wanted), width, header, rows, mark))
+        widths = [len(row) for _, row in rows[:20]]
+        even = max(map(widths.count, widths), default=0)  # lines of as many cells: blanks within names make others
+        hits = sum(bool(header.find(name)) for name in wanted)
+        tried.append((hits, even if max(widths, default=0) > 1 else 0, max(widths, default=0), header, rows, mark))
     if not tried:
         raise ValueError(f"{path} is no table of text; save it as CSV")
-    _, _, header, rows, mark = max(tried, key=lambda each: each[:2])
+    _, _, _, header, rows, mark = max(tried, key=lambda each: each[:3])
     if names is None and len(rows) == TOP:  # further down, behind another table
         later, complete = headers.header_of(list(rows_of(text, mark)), wanted, None)
         if complete:

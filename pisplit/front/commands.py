@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,8 @@ from pisplit.front.words import add_words, of_tables
 
 ARMS = {"paper": TendonArm.paper, "prototype": TendonArm.prototype}
 FAILED, STOPPED = 1, 3
+#: Files that a run is written to.
+PLACES = (".png", ".html", ".h5")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,11 +28,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parser().parse_args(argv)
     try:
         facts, code = given.run(given)
+        if given.json:
+            print(json.dumps(facts, indent=1, allow_nan=False), flush=True)
+    except BrokenPipeError:  # whoever read the output has had enough, as head has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
     except (ValueError, OSError, RuntimeError) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return FAILED
-    if given.json:
-        print(json.dumps(facts, indent=1, allow_nan=False))
     return int(code)
 
 
@@ -118,13 +124,31 @@ def _report(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
 def _track(given: argparse.Namespace) -> tuple[dict[str, Any], int]:
     from pisplit.controllers import MPC, ClosedLoop
 
+    _check_places(given.out)
     arm, model = ARMS[given.arm](), LiftedModel.load(given.model)
+    plant = arm.scene.fast_stepper(dt=model.dt, stations=max(1, model.n_states // 24))
+    if (tuple(model.state_names), tuple(model.input_names)) != (tuple(plant.state_names), tuple(plant.input_names)):
+        raise ValueError(
+            f"{given.model} is a model of {_few(model.state_names)} and inputs {_few(model.input_names)}; track runs "
+            f"models of the simulated arm ({_few(plant.state_names)}; {_few(plant.input_names)}): for a plant of your "
+            "own, LiftedModel.load it in Python (docs/control.md)"
+        )
     low = 2.0 * arm.pretension - given.u_max
     mpc = MPC(model, 20, low, given.u_max, given.du_max, rate_weight=given.rate_weight)
-    plant = arm.scene.fast_stepper(dt=model.dt, stations=max(1, model.n_states // 24))
     reference = references.circle(given.radius, given.period)
     log = ClosedLoop(plant, mpc).run(reference, given.steps, u0=arm.rest_inputs, progress=not given.json)
     return _told(given, log, given.period / 2, given.out)
+
+
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _check_places(places: Sequence[Path]) -> None:
+    """Refuse files of a run that are no pictures, pages or logs, before anything is run."""
+    for place in places:
+        if place.suffix not in PLACES:
+            raise ValueError(f"--out {place}; expected {', '.join(PLACES)}: a picture, a page, the log")
 
 
 def _told(given: argparse.Namespace, log: Any, after: float, places: Sequence[Path]) -> tuple[dict[str, Any], int]:
@@ -133,7 +157,8 @@ def _told(given: argparse.Namespace, log: Any, after: float, places: Sequence[Pa
         (log.plot if place.suffix == ".png" else log.save)(place)
     error = log.rms_error(after=after)
     _say(given, log.summary())
-    _say(given, f"RMS error from {after:g} s on: {1e3 * error:.3g} mm")
+    shown = f"{1e3 * error:.3g} mm" if error == error else "the run ends before; give more --steps"
+    _say(given, f"RMS error from {after:g} s on: {shown}")
     facts = {
         "rms_error": error if error == error else None,
         "after": after,
