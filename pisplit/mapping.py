@@ -103,7 +103,7 @@ class Buffered:
     """A CasADi function with dense arguments and results as a call with numpy arrays, without conversions.
 
     Results are flat arrays in column-major order that the next call overwrites. For one thread at a time; no file holds
-    it. ``function`` must have no empty and no sparse arguments.
+    it. ``function`` must have no sparse arguments.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -113,9 +113,11 @@ class Buffered:
         buffer, self._run = function.buffer()
         self._buffer = buffer
         for i, memory in enumerate(self._inputs):
-            buffer.set_arg(i, memory.data)
+            if memory.size:
+                buffer.set_arg(i, memory.data)
         for i, memory in enumerate(self._results):
-            buffer.set_res(i, memory.data)
+            if memory.size:
+                buffer.set_res(i, memory.data)
 
     def __call__(self, *arguments: Array) -> tuple[Array, ...]:
         """The results for ``arguments``, each in the shape of the transposed (row-major) argument."""

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.rod.output import compiled
+from pisplit.models.arm import TendonArm, make_episodes
+from pisplit.models.rod.output import compiled, paying, processor
 
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
 PULLS = 0.004 * np.array([[1.0, -1.0], [-1.0, 1.0], [0.5, 0.0]])
@@ -202,3 +203,62 @@ def test_a_plant_of_machine_code_goes_on_elsewhere_to_the_last_bit(cache: Path) 
     assert isinstance(twin.scene, compiled.CompiledScene) and np.array_equal(twin.step(PULLS[1]).state, measured)
     plant.restore(mark)
     assert np.array_equal(plant.step(PULLS[1]).state, measured)
+
+
+@needs_compiler
+def test_machine_code_and_threads_change_no_bit(cache: Path, tmp_path: Path) -> None:
+    scene = arm(nodes=3)
+    rows = 0.004 * np.random.default_rng(0).uniform(-1.0, 1.0, (150, 2))
+    usual = scene.statics().solve_many(rows, chunk=32, compiled=False)
+    for threads in (1, 2):
+        found = scene.statics().solve_many(rows, chunk=32, threads=threads, compiled=True)
+        assert found.states.tobytes() == usual.states.tobytes() and found.scene is scene
+    assert len(libraries(cache)) == 1
+    small = {"episodes": 1, "steps": 5, "stations": 1, "workers": 1, "progress": False}
+    paper = TendonArm.paper(nodes=3)
+    made = [make_episodes(paper, tmp_path / f"{c}.h5", compiled=c, **small) for c in (True, False)]  # type: ignore[arg-type]
+    assert made[0].xs[0].tobytes() == made[1].xs[0].tobytes()
+
+
+@needs_compiler
+def test_machine_code_is_made_where_a_run_gains_by_it(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    statics, rows = arm(nodes=2).statics(), np.tile(PULLS[0], (40, 1))
+    statics.solve_many(rows)
+    assert not cache.exists() or not libraries(cache)
+    monkeypatch.setattr(paying, "COMPILING", paying.EQUILIBRIUM * len(rows))
+    monkeypatch.setattr(paying, "LOOKING", 10)
+    statics.solve_many(rows[:-1])  # one row too few
+    assert not libraries(cache)
+    statics.solve_many(rows)
+    assert len(libraries(cache)) == 1
+    monkeypatch.setattr(paying, "COMPILING", 10**9)
+    twin = arm(nodes=2).statics()
+    twin.solve_many(rows[:5])  # it is there already
+    assert paying.pays("auto", 30, lambda: [twin.residual_function])
+    assert not paying.pays("auto", 30, lambda: [arm(nodes=3).statics().residual_function])
+    with pytest.raises(ValueError, match="compiled = 'yes'; expected True, False or 'auto'"):
+        statics.solve_many(rows, compiled="yes")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="threads"):
+        statics.solve_many(rows, threads=0)
+
+
+def test_a_long_run_without_a_compiler_says_nothing(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert not paying.pays("auto", 10**9, list)
+    assert not caplog.records
+
+
+@needs_compiler
+def test_machine_code_is_for_one_kind_of_processor(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    function = arm(nodes=2).statics().residual_function
+    compiled.compiled_functions([function])
+    assert compiled.kept([function])
+    monkeypatch.setattr(compiled, "processor", lambda: "another one")
+    assert not compiled.kept([function])
+    monkeypatch.setattr(processor, "processor", lambda: "x86_64")
+    processor.native.cache_clear()
+    assert processor.native("cc") == ()
+    processor.native.cache_clear()

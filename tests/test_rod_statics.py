@@ -187,7 +187,7 @@ def test_an_equilibrium_is_one_to_rounding_whatever_the_solvers_hand_over(monkey
     near = root + 1e-5
     assert 1e-8 < search.worst(near, u) < 1e-3
     monkeypatch.setitem(vars(search), "_cold_kinsol", lambda x0, u: near)
-    monkeypatch.setattr(search, "of_rows", lambda rows, mild: lambda x, u: np.tile(near[:, None], rows))
+    monkeypatch.setattr(search, "of_rows", lambda rows, chunks, mild: lambda x, u: np.tile(near[:, None], rows))
     found, batch = statics.solve(u), statics.solve_many([u])
     assert found.success and found.solver == "newton" and found.residual <= 1e-8
     assert batch.success.all() and batch.residual.max() <= 1e-8

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import joblib
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
@@ -18,6 +19,9 @@ from pisplit.models import rod
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.arm.recording import ATTEMPTS, arm_origin, labels, random_targets
+from pisplit.models.rod.output.compiled import CompiledScene
+from pisplit.models.rod.output.paying import IDAS_STEP, Compiled, pays
+from pisplit.models.rod.statics.machine import by_machine
 
 SAMPLES_PER_BLOCK = 500
 
@@ -116,7 +120,7 @@ def make_phase_samples(
     law: str = "zero-sum",
     known: rod.Scene | None = None,
     dt: float | None = None,
-    compiled: bool = False,
+    compiled: Compiled = "auto",
 ) -> PhaseSamples:
     """Sample the phase space of the passive arm, store the samples at ``path`` (HDF5) and return them.
 
@@ -139,17 +143,16 @@ def make_phase_samples(
         law: input law of the shapes (:data:`LAWS`).
         known: the arm as far as f knows it, without inputs (default: all but the tendons and Maxwell branches).
         dt: time step in s; with it the samples hold the flow of f over half of it, one integration each.
-        compiled: integrate the flow by machine code (:func:`make_episodes`).
+        compiled: integrate the flow, and solve for shapes, by machine code (:func:`make_episodes`).
     """
     count(samples, "samples")
     identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt)
-    if dt is not None and compiled:
-        _flow_simulator(arm.backbone if known is None else known, 0.5 * dt, True)
+    machine = _compile(compiled, arm, arm.backbone if known is None else known, samples, dt, workers)
     n = arm.scene.n_strains
     factor = _gaussian_factor(rates, "rates", n)
     shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
     task = PhaseTask(
-        arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"], law, known, dt, compiled
+        arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"], law, known, dt, machine
     )
     identity["block"] = task.samples
     parts = f"{os.fspath(path)}.parts"
@@ -172,6 +175,19 @@ def make_phase_samples(
     result.save(path)
     discard_blocks(parts)
     return result
+
+
+def _compile(compiled: Compiled, arm: Arm, known: rod.Scene, samples: int, dt: float | None, workers: int) -> bool:
+    """Whether the flow of ``known`` over half of ``dt`` is machine code; what pays is made here once."""
+    share = samples / joblib.effective_n_jobs(workers)
+    by_machine(arm.scene.statics(), compiled, share)
+    if dt is None:
+        return False
+    twin = CompiledScene.of(known)
+    flows = pays(compiled, IDAS_STEP * share, lambda: [f for _, made in twin.to_compile(6) for f in made])
+    if flows:
+        _flow_simulator(known, 0.5 * dt, True)
+    return flows
 
 
 def deviations_from_equilibrium(arm: Arm, episodes: Episodes) -> tuple[Array, Array]:

@@ -54,6 +54,8 @@ def measure_dynamics(report: Report, quick: bool, seed: int, out: Path) -> None:
     fast = fast_point(nodes, DT, commands, reference, 5)
     report.figure("dynamics fast Radau steps, step of 0.03 s", fast.time, "ms", ("<=", 0.3))
     report.figure(f"dynamics fast Radau steps, maximum tip error over {span}", fast.error, "L", ("<=", 1e-4))
+    machine = fast_point(nodes, DT, commands, reference, 5, compiled=True)
+    report.figure("dynamics fast Radau steps, machine code, step of 0.03 s", machine.time, "ms", ("<=", 0.08))
     single_steps(report, commands, reference)
     points = [
         point(k, tolerance, commands, reference, 1)
@@ -107,9 +109,12 @@ def timed(mover: Simulator | FastStepper, commands: np.ndarray, repeats: int) ->
     return tips(scene, run.x), 1e3 * float(np.median(spent)) / len(commands)
 
 
-def fast_point(nodes: int, step: float, commands: np.ndarray, reference: np.ndarray, repeats: int) -> Point:
+def fast_point(
+    nodes: int, step: float, commands: np.ndarray, reference: np.ndarray, repeats: int, compiled: bool = False
+) -> Point:
     """Large checked Radau steps against the reference."""
-    mover = TendonArm.paper(nodes).scene.fast_stepper(DT, step=step)
+    scene = TendonArm.paper(nodes).scene
+    mover = (scene.compile() if compiled else scene).fast_stepper(DT, step=step)
     found, spent = timed(mover, commands, repeats)
     return Point(f"fast Radau, K = {nodes}", step, spent, float(np.abs(found - reference).max()))
 
@@ -126,6 +131,7 @@ def single_steps(report: Report, commands: np.ndarray, reference: np.ndarray) ->
     plants: list[tuple[str, Simulator | FastStepper]] = [
         ("IDAS", arm.scene.simulator(DT, rtol=DEFAULT[1])),
         ("fast Radau", arm.scene.fast_stepper(DT)),
+        ("fast Radau, machine code,", arm.scene.compile().fast_stepper(DT)),
     ]
     for name, simulator in plants:
         _single_steps(report, name, simulator, commands, reference)

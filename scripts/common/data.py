@@ -14,8 +14,6 @@ from pisplit.models.arm.recording import check_origin, episodes_origin, make_epi
 from pisplit.models.arm.tendon_arm import TendonArm
 
 DT = 0.03
-#: From so many episodes on, machine code saves more time than its compilation takes.
-WORTH_COMPILING = 64
 
 
 @dataclass(frozen=True)
@@ -75,8 +73,7 @@ class Source:
             found = Episodes.load(path)
             check_origin(path, found.provenance, episodes_origin(self.arm, steps, DT, seed=self.seed, law=self.law))
             return found
-        compiled = count >= WORTH_COMPILING
-        return make_episodes(self.arm, path, count, steps, DT, compiled=compiled, **self._options())
+        return make_episodes(self.arm, path, count, steps, DT, **self._options())
 
     def _samples(self, name: str, rates: Array, count: int, known: rod.Scene | None = None) -> PhaseSamples:
         path = self.folder / f"{name}-{count}-seed{self.seed}.h5"
@@ -85,10 +82,7 @@ class Source:
             origin = phase_origin(self.arm, rates, seed=self.seed, law=self.law, known=known, dt=DT)
             check_origin(path, found.provenance, origin)
             return found
-        compiled = known is not None or count >= 10 * WORTH_COMPILING  # known parts without damping take many steps
-        return make_phase_samples(
-            self.arm, path, count, rates, known=known, dt=DT, compiled=compiled, **self._options()
-        )
+        return make_phase_samples(self.arm, path, count, rates, known=known, dt=DT, **self._options())
 
     def _options(self) -> dict[str, Any]:
         return {"seed": self.seed, "workers": self.workers, "progress": self.progress, "law": self.law}

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from common.data import DT, WORTH_COMPILING, Scale
+from common.data import DT, Scale
 from common.protocol import HISTORY, all_pairs, pairs_at, random_pairs, squared_error
 from paper.methods import UNKNOWN, dictionary
 from paper.till import implicit_episodes, implicit_origin
@@ -29,6 +29,8 @@ from pisplit.models.arm.tendon_arm import TendonArm
 
 Array = NDArray[np.float64]
 
+#: From so many episodes on, machine code saves more time than its compilation takes.
+WORTH_COMPILING = 64
 #: Steps ahead at which errors are taken; 0 stands for the whole roll-out of a test episode, all steps of it.
 AHEAD = (1, 5, 20, 0)
 #: Weights of the LASSO on sums of squares: "fixed" is the printed 0.01 N at 64 pairs, whatever the number of pairs.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pisplit.checks import Array, positive
+from pisplit.mapping import Buffered, Mapped
 from pisplit.models.rod.dynamics.collocation import Collocation
 from pisplit.models.rod.dynamics.march import March, Piece
 from pisplit.models.rod.dynamics.motion_check import reason
@@ -135,7 +136,12 @@ class FastStepper(Stepper):
         return ca.Function("one", [x, u0, u1, h], [end, size, defect])
 
     @cached_property
-    def _calls(self) -> dict[int, ca.Function]:
+    def _one(self) -> Buffered:
+        """``one`` without conversions."""
+        return Buffered(self.one)
+
+    @cached_property
+    def _calls(self) -> dict[int, Buffered]:
         """``([x, u], commands) -> [x, u], [x; correction; defect]`` of as many control intervals as the key says."""
         layout = self.equations.layout
         state, command = ca.MX.sym("state", layout.size), ca.MX.sym("command", layout.n_inputs)
@@ -149,25 +155,25 @@ class FastStepper(Stepper):
         interval = ca.Function(
             "interval", [state, command], [ca.vertcat(x, command), ca.vertcat(x, correction, defect)]
         )
-        return {size: interval.mapaccum(size) for size in CALLS}
+        return {size: Buffered(interval.mapaccum(size)) for size in CALLS}
 
     @cached_property
     def _idas(self) -> Simulator:
         return self.scene.simulator(self.dt, balance=self.balance)
 
     @cached_property
-    def _shape(self) -> ca.Function:
-        """``(xi, u) -> `` positions (3, POINTS) in m along the rod."""
+    def _shape(self) -> Mapped:
+        """``(xi, u) -> `` positions in m (3 POINTS) along the rod."""
         scene = self.equations
         xi, u, balance = scene.static_balance
         points = (scene.rod.length * np.arange(1, POINTS + 1) / POINTS).tolist()
-        return ca.Function("shape", [xi, u], [balance.motion.position_at(points)])
+        return Mapped(ca.Function("shape", [xi, u], [ca.vec(balance.motion.position_at(points))]))
 
     def _distance(self, x: Array, y: Array, u: Array) -> float:
         """Largest distance in m of two shapes [xi, xi_t] under the inputs ``u``, infinite where one is none."""
         n = self.equations.n_strains
-        there, here = (np.asarray(self._shape(state[:n], u)) for state in (x, y))
-        found = float(np.linalg.norm(there - here, axis=0).max())
+        there, here = self._shape(np.stack([x[:n], y[:n]]), np.stack([u, u]))
+        found = float(np.linalg.norm((there - here).reshape(POINTS, 3), axis=1).max())
         return found if np.isfinite(found) else np.inf
 
     # Trajectories ----------------------------------------------------------------------------------------------------
@@ -220,10 +226,10 @@ class FastStepper(Stepper):
         """
         moving, size = self.scene.layout.moving, len(commands)
         try:
-            _, found = self._calls[size](np.concatenate([x, before]), commands.T)
+            _, found = self._calls[size](np.concatenate([x, before]), commands)
         except RuntimeError:  # a singular matrix, somewhere
             return 0, None, 0
-        rows = np.asarray(found).T
+        rows = found.reshape(size, -1).copy()
         states, corrections, defects = rows[:, moving], rows[:, -2], rows[:, -1]
         with np.errstate(invalid="ignore"):
             passes = (corrections <= CONVERGED * self.substeps) & (defects <= SMALL_DEFECT * self.substeps)
@@ -256,10 +262,10 @@ class FastStepper(Stepper):
 
     def _step(self, x: Array, u0: Array, u1: Array, h: float) -> Array | None:
         try:
-            end, correction, _ = self.one(x, u0, u1, h)
+            end, correction, _ = self._one(x, u0, u1, np.array([h]))
         except RuntimeError:
             return None
-        return np.asarray(end).ravel() if float(correction) <= CONVERGED else None
+        return end.copy() if correction[0] <= CONVERGED else None
 
     def _alone(self, taken: _Taken, x: Array, before: Array, command: Array, depth: int, whole: Array | None) -> int:
         """One interval that did not pass, in pieces, first of ``dt / 2^depth``, or by IDAS; the last depth."""

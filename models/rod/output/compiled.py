@@ -6,7 +6,6 @@ import copy
 import hashlib
 import logging
 import os
-import platform
 import shutil
 import subprocess
 import tempfile
@@ -16,15 +15,20 @@ from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
+from numpy.typing import ArrayLike
 
 from pisplit.files import replacing
+from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
 from pisplit.models.rod.equations.residuals import THROUGH_JACOBIAN
+from pisplit.models.rod.output.processor import native, processor
 from pisplit.models.rod.scene import Scene
 
 log = logging.getLogger(__name__)
 
-#: ``-O1`` runs as fast as ``-O2`` on these straight-line functions and compiles 2 to 14 times faster.
-FLAGS = ("-O1", "-fPIC", "-shared")
+#: ``-O1`` runs as fast as ``-O2`` on these straight-line functions and compiles 2 to 14 times faster. With the
+#: instructions of this processor, where it is known, Jacobians take a quarter less time. Nothing is rounded less often
+#: than by the virtual machine (no fused multiply-add): numbers are the same to the last bit.
+FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 #: Seconds after which a compiler counts as failed; the largest residuals here take half a minute.
 COMPILER_PATIENCE = 600.0
 _DIGEST = hashlib.sha256().digest_size
@@ -70,6 +74,15 @@ class CompiledScene(Scene):
         built = self._native.values()
         return bool(built) and all(made is not given for given, made in built)
 
+    def to_compile(self, stations: int | ArrayLike) -> list[tuple[CompiledScene, list[ca.Function]]]:
+        """What ``Scene.compile`` builds with fields at ``stations``: functions of this scene, and of what moves it."""
+        moving = self if equations_of_motion(self) is self else self.variational()
+        found = []
+        for scene in (self,) if moving is self else (self, moving):
+            functions = [scene.statics().residual_function, scene.field_map(stations).function]
+            found.append((scene, [*functions, scene.motion_residual] if scene is moving else functions))
+        return found
+
     def native(self, function: ca.Function) -> ca.Function:
         """``function`` as machine code, or itself where there is none to be had."""
         return self.build([function])[0]
@@ -101,26 +114,30 @@ def compiled_functions(functions: Sequence[ca.Function]) -> list[ca.Function]:
     if not functions:
         return []
     try:
-        compiler, folder = _compiler(), _cache_folder()
+        found, folder = compiler(), _cache_folder()
         sources = [_source(f) for f in functions]
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            libraries = list(pool.map(lambda source: _library(source, compiler, folder), sources))
+            libraries = list(pool.map(lambda source: _library(source, found, folder), sources))
         return [_load(f, library) for f, library in zip(functions, libraries, strict=True)]
     except NoMachineCode as reason:
-        log.warning("%s; the CasADi virtual machine evaluates the scene instead, 2 to 3 times slower", reason)
+        log.warning("%s; the CasADi virtual machine evaluates the scene instead, five to ten times slower", reason)
         return list(functions)
 
 
 def _source(function: ca.Function) -> str:
     """C of a function; residuals (in SX) come with their Jacobian, which solvers look up as ``jac_NAME``."""
     generator = ca.CodeGenerator("machine_code")
-    generator.add(function)
-    if function.is_a("SXFunction"):
-        generator.add(function.jacobian())
-    return str(generator.dump())
+    try:
+        generator.add(function)
+        if function.is_a("SXFunction"):
+            generator.add(function.jacobian())
+        return str(generator.dump())
+    except RuntimeError as error:
+        raise NoMachineCode(f"{function.name()} has no C: {str(error).strip().splitlines()[-1]}") from error
 
 
-def _compiler() -> str:
+def compiler() -> str:
+    """Path of the C compiler: ``$CC``, cc, gcc or clang. Raises NoMachineCode where there is none."""
     for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
         found = shutil.which(name) if name else None
         if found:
@@ -139,12 +156,27 @@ def _cache_folder() -> Path:
     return folder
 
 
+def kept(functions: Sequence[ca.Function]) -> bool:
+    """Whether the machine code of all ``functions`` is in the cache.
+
+    Raises NoMachineCode without a compiler, or a folder for what it makes.
+    """
+    flags, folder = (*FLAGS, *native(compiler())), _cache_folder()
+    return all(_intact(_place(_source(f), flags, folder)) for f in functions)
+
+
+def _place(source: str, flags: Sequence[str], folder: Path) -> Path:
+    """Where the library of a source is, or would be."""
+    key = "\0".join([source, *flags, processor()])
+    return folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+
+
 def _library(source: str, compiler: str, folder: Path) -> Path:
     """Shared library of a source, from the cache where it is there and intact."""
-    key = hashlib.sha256("\0".join([source, *FLAGS, platform.machine()]).encode()).hexdigest()[:32]
-    path = folder / f"{key}.so"
+    flags = (*FLAGS, *native(compiler))
+    path = _place(source, flags, folder)
     if not _intact(path):
-        _build(source, compiler, path)
+        _build(source, [compiler, *flags], path)
     return path
 
 
@@ -162,22 +194,22 @@ def _seal(content: bytes, path: Path) -> bytes:
     return hashlib.sha256(path.name.encode() + content).digest()
 
 
-def _build(source: str, compiler: str, path: Path) -> None:
+def _build(source: str, compiler: Sequence[str], path: Path) -> None:
     """Compile into a folder of this process and move the whole library into place."""
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix="build-") as name:
             code, library = Path(name) / "scene.c", Path(name) / "scene.so"
             code.write_text(source)
-            command = [compiler, *FLAGS, str(code), "-o", str(library), "-lm"]
+            command = [*compiler, str(code), "-o", str(library), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, timeout=COMPILER_PATIENCE, check=False)
             if done.returncode:
                 reason = (done.stderr.strip().splitlines() or ["no message"])[0]
-                raise NoMachineCode(f"{compiler} failed with status {done.returncode}: {reason}")
+                raise NoMachineCode(f"{compiler[0]} failed with status {done.returncode}: {reason}")
             content = library.read_bytes()
         with replacing(path) as part:
             part.write_bytes(content + _seal(content, path))
     except subprocess.TimeoutExpired as error:
-        raise NoMachineCode(f"{compiler} took longer than {COMPILER_PATIENCE:g} s") from error
+        raise NoMachineCode(f"{compiler[0]} took longer than {COMPILER_PATIENCE:g} s") from error
     except (OSError, ValueError) as error:
         raise NoMachineCode(f"machine code could not be written: {error}") from error
 

@@ -186,15 +186,11 @@ class Scene(Equations):
         Takes seconds once (more for many nodes); the libraries are kept in a user cache folder. Without a C compiler
         one warning is logged and the scene is evaluated as before.
         """
-        from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
         from pisplit.models.rod.output.compiled import CompiledScene
 
         made = CompiledScene.of(self)
-        # Where the variational twin moves the scene, nothing moves by the usual equations.
-        moving = made if equations_of_motion(made) is made else made.variational()
-        for scene in dict.fromkeys((made, moving)):
-            functions = [scene.statics().residual_function, scene.field_map(stations).function]
-            scene.build([*functions, scene.motion_residual] if scene is moving else functions)
+        for scene, functions in made.to_compile(stations):
+            scene.build(functions)
         return made
 
     def codegen(self, path: str | Path, dt: float, substeps: int = 8, stations: int = 6) -> Exported:

@@ -42,7 +42,9 @@ def one_by_one(statics: Statics, rows: Array, near: Array | None, follow: bool, 
     )
 
 
-def solve_rows(statics: Statics, rows: Array, near: Array | None, chunk: int, progress: bool) -> EquilibriumBatch:
+def solve_rows(
+    statics: Statics, rows: Array, near: Array | None, chunk: int, progress: bool, threads: int
+) -> EquilibriumBatch:
     """Equilibria by a few calls for all rows; those that are not the only ones are judged one by one.
 
     Args:
@@ -51,6 +53,7 @@ def solve_rows(statics: Statics, rows: Array, near: Array | None, chunk: int, pr
         near: states at rest (N, n_states) from which the inputs are moved to ``rows``.
         chunk: rows solved by one call.
         progress: whether to show a bar.
+        threads: chunks side by side.
     """
     scene, search, branches = statics.scene, statics.search, statics.branches
     found = np.empty((len(rows), scene.n_strains))
@@ -62,11 +65,11 @@ def solve_rows(statics: Statics, rows: Array, near: Array | None, chunk: int, pr
         strains, *_, before = scene.layout.split(near)
         guess = search.scaled(strains)
         resting = search.worst_of_rows(guess, before) <= RESTING
-    for start in _bar(range(0, len(rows), chunk), disable=not progress, desc="equilibria", unit="block"):
-        block = rows[start : start + chunk]
-        x = np.asarray(search.of_rows(len(block), mild)(guess[start : start + chunk].T, block.T)).T
-        found[start : start + len(block)] = x
-        worst[start : start + len(block)] = search.worst_of_rows(x, block)
+    for part in _bar(_parts(len(rows), chunk, threads), disable=not progress, desc="equilibria", unit="block"):
+        block = rows[part]
+        solver = search.of_rows(min(chunk, len(block)), -(-len(block) // chunk), mild)
+        found[part] = x = np.asarray(solver(guess[part].T, block.T)).T
+        worst[part] = search.worst_of_rows(x, block)
     branch, factor, zero = np.full(len(rows), "unique", dtype=object), np.ones(len(rows)), np.zeros(scene.n_strains)
     open_rows = np.flatnonzero(worst > TOLERANCE) if mild else np.arange(len(rows))
     for k in _bar(open_rows, disable=not progress or mild, desc="branches", unit="row"):
@@ -84,6 +87,13 @@ def solve_rows(statics: Statics, rows: Array, near: Array | None, chunk: int, pr
     tensions = readings[:, : readings.shape[1] // 3]
     branch[worst > TOLERANCE] = "unverified"
     return _checked(statics, scene.at_rest(strains, rows), branch, worst, tensions, factor)
+
+
+def _parts(rows: int, chunk: int, threads: int) -> list[slice]:
+    """Rows of every call: as many whole chunks as there are threads, then chunk by chunk what is left."""
+    together = threads * chunk
+    found = [slice(start, start + together) for start in range(0, rows - together + 1, together)]
+    return found + [slice(s, min(s + chunk, rows)) for s in range(found[-1].stop if found else 0, rows, chunk)]
 
 
 def follow_rows(statics: Statics, rows: Array) -> EquilibriumBatch:

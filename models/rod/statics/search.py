@@ -123,16 +123,18 @@ class Search(Rebuilt):
     def _cold_kinsol(self) -> Memoryless:
         return Memoryless(lambda: self._rootfinder("kinsol", raises=True))
 
-    def of_rows(self, rows: int, mild: bool) -> ca.Function:
+    def of_rows(self, rows: int, chunks: int, mild: bool) -> ca.Function:
         """``(x_guesses, u) -> x`` of many columns, built anew because KINSOL remembers (see ``Memoryless``).
 
         A column that fails does not end the call; its residual tells.
 
         Args:
-            rows: their number.
+            rows: their number in a chunk.
+            chunks: solved side by side, each by its own thread.
             mild: whether there is only one root each, by KINSOL; else by Newton's method, which fails without a word.
         """
-        return self._rootfinder("kinsol" if mild else "newton", raises=False).map(rows)
+        chunk = self._rootfinder("kinsol" if mild else "newton", raises=False).map(rows)
+        return chunk if chunks == 1 else chunk.map(chunks, "thread")
 
     @cached_property
     def newton(self) -> ca.Function:

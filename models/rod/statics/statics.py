@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.checks import Array, finite_array, real_array
+from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.mapping import Mapped
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
+from pisplit.models.rod.output.paying import Compiled
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.statics.boundary import FixedTip
@@ -20,6 +23,7 @@ from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium, after
 from pisplit.models.rod.statics.held_scene import HeldScene
 from pisplit.models.rod.statics.inverse import InverseSolution, inverse
 from pisplit.models.rod.statics.jointed import JointedScene
+from pisplit.models.rod.statics.machine import by_machine
 from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.rows import follow_rows, one_by_one, solve_rows
 from pisplit.models.rod.statics.search import TOLERANCE, Search
@@ -178,7 +182,13 @@ class Statics(Rebuilt):
 
     @in_turn()
     def solve_many(
-        self, inputs: ArrayLike, progress: bool = False, chunk: int = 512, near: ArrayLike | None = None
+        self,
+        inputs: ArrayLike,
+        progress: bool = False,
+        chunk: int = 512,
+        near: ArrayLike | None = None,
+        threads: int = 1,
+        compiled: Compiled = "auto",
     ) -> EquilibriumBatch:
         """Equilibria of many inputs, each from a guess that is affine in them; one bad row is flagged, never raised.
 
@@ -188,6 +198,9 @@ class Statics(Rebuilt):
             chunk: rows solved by one call.
             near: states at rest (N, n_states) from which the inputs are moved to ``inputs``; rows that are not at rest
                 are loaded from nothing, as all are when not given.
+            threads: chunks solved side by side, -1 for one a core; the numbers are the same.
+            compiled: whether by machine code, which is made first: five times faster, the same numbers. By default
+                where there is a compiler and enough rows to gain by it.
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
@@ -195,7 +208,10 @@ class Statics(Rebuilt):
         states = None if near is None else finite_array(near, "near", (len(rows), self.scene.n_states))
         if self.held is not None or self.jointed is not None:
             return one_by_one(self, rows, states, False, progress)
-        return solve_rows(self, rows, states, chunk, progress)
+        serving = by_machine(self, compiled, len(rows))
+        side_by_side = (os.cpu_count() or 1) if threads == -1 else count(threads, "threads")
+        found = solve_rows(serving, rows, states, chunk, progress, side_by_side)
+        return found if serving is self else replace(found, scene=self.scene)
 
     @in_turn()
     def sweep(self, inputs: ArrayLike) -> EquilibriumBatch:
