@@ -15,11 +15,11 @@ from pisplit.checks import Array, finite_array, positive
 from pisplit.models.rod.analysis.fields import UNITS
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.dynamics import motion_check
-from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
 from pisplit.models.rod.dynamics.motion_check import SHARPER, reason
 from pisplit.models.rod.dynamics.projection import Projection
 from pisplit.models.rod.dynamics.space_error import SpaceError
 from pisplit.models.rod.dynamics.trajectory import Trajectory
+from pisplit.models.rod.equations.equations_of_motion import equations_of_motion
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.terms.base import joint_of
 

@@ -18,7 +18,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from pisplit.files import replacing
-from pisplit.models.rod.dynamics.equations_of_motion import equations_of_motion
+from pisplit.models.rod.equations.equations_of_motion import equations_of_motion
 from pisplit.models.rod.equations.residuals import THROUGH_JACOBIAN
 from pisplit.models.rod.output.processor import native, processor
 from pisplit.models.rod.scene import Scene
