@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 
 from pisplit.models.rod.kinematics.gauss import CompositeRule, Rule
 from pisplit.models.rod.kinematics.kinematics import BaseState, Motion, columnwise_cross
+from pisplit.models.rod.kinematics.turned import TurnedMotion
 from pisplit.models.rod.section.body import Rod
 from pisplit.models.rod.terms.base import Base, joint_of
 from pisplit.models.rod.terms.gravity import Gravity
@@ -193,6 +194,12 @@ class Balance:
         if base is None:
             return strains
         return ca.vertcat(strains, base.joint_forces(*self.base_wrench, self._joint(base)[0]))
+
+    @property
+    def slope(self) -> ca.SX:
+        """Derivative (n, n) of the residual with respect to the strains; a reaction counts as a dead load."""
+        motion = TurnedMotion.of(self.motion)
+        return motion.slope(replace(self, shape=motion).residual)
 
     @cached_property
     def strain_v(self) -> ca.SX:

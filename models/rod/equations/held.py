@@ -134,12 +134,18 @@ def slopes(balance: Balance, symbols: Sequence[ca.SX]) -> list[ca.SX]:
     derivatives of their equations: a twentieth of the instructions.
     """
     if balance.reaction is None:
-        return [ca.jacobian(balance.residual, symbol) for symbol in symbols]
+        return [_slope(balance, symbol) for symbol in symbols]
     wrench = ca.SX.sym("wrench", 6)
-    loaded = with_wrench(balance, wrench).residual
-    blocks = ca.substitute([ca.jacobian(loaded, symbol) for symbol in symbols], [wrench], [balance.reaction])
+    loaded = with_wrench(balance, wrench)
+    blocks = ca.substitute([_slope(loaded, symbol) for symbol in symbols], [wrench], [balance.reaction])
     assert balance.holding is not None
     return constrained(balance.holding, blocks, [ca.jacobian(balance.holding.asked, symbol) for symbol in symbols])
+
+
+def _slope(balance: Balance, symbol: ca.SX) -> ca.SX:
+    if symbol is balance.strains:
+        return balance.slope
+    return ca.jacobian(balance.residual, symbol)
 
 
 def constrained(holding: Holding, blocks: Sequence[ca.SX], asked: Sequence[ca.SX]) -> list[ca.SX]:

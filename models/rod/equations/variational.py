@@ -20,7 +20,6 @@ import numpy as np
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.kinematics.gauss import Array
 from pisplit.models.rod.kinematics.kinematics import Motion
-from pisplit.models.rod.kinematics.rotations import rotation_matrix
 from pisplit.models.rod.kinematics.strains import rotation_vector, turn_rows
 
 
@@ -105,7 +104,7 @@ class VariationalMotion(Motion):
     @cached_property
     def _ends(self) -> list[ca.SX]:
         """Rotations R at ``rule.step_ends``."""
-        return [rotation_matrix(q) for q in self._steps]
+        return self.frames_at(self.rule.step_ends)
 
     @cached_property
     def _chain(self) -> list[tuple[ca.SX, ca.SX]]:
@@ -195,7 +194,8 @@ class VariationalBalance(Balance):
 
     @cached_property
     def _motion(self) -> VariationalMotion:
-        return VariationalMotion(self.rod, self.rule, self.strains, self.rates, self.accelerations, self.base)
+        motion = (self.strains, self.rates, self.accelerations, self.base, self.shape)
+        return VariationalMotion(self.rod, self.rule, *motion)
 
     @cached_property
     def _body_moment(self) -> ca.SX:

@@ -119,12 +119,12 @@ class Motion:
 
     def frames_at(self, points: Sequence[float]) -> list[ca.SX]:
         """Rotations R at arclengths. ``points`` in m."""
+        if self.shape is not None:
+            return self.shape.frames_at(points)
         return self.rod.strain_set.frames(self.w, self.rule, points, self._steps, self.rod.kinks)
 
     @cached_property
     def _steps(self) -> list[ca.SX]:
-        if self.shape is not None:
-            return self.shape._steps
         return self.rod.strain_set.steps(self.w, self.rule, self.base.quaternion, self.rod.kinks)
 
     @property
@@ -134,10 +134,14 @@ class Motion:
 
     def to_world(self, body: ca.SX) -> ca.SX:
         """Body vectors at the nodes (3, K) in world axes. ``body`` are these vectors."""
+        if self.shape is not None:
+            return self.shape.to_world(body)
         return ca.horzcat(*[r @ b for r, b in zip(self.frames, ca.horzsplit(body), strict=False)])
 
     def to_body(self, world: ca.SX) -> ca.SX:
         """World vectors at the nodes (3, K) in body axes. ``world`` are these vectors."""
+        if self.shape is not None:
+            return self.shape.to_body(world)
         return ca.horzcat(*[r.T @ b for r, b in zip(self.frames, ca.horzsplit(world), strict=False)])
 
     def integral(self, density: ca.SX, rows: Array) -> ca.SX:

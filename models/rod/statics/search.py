@@ -10,6 +10,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.mapping import Mapped
+from pisplit.models.rod.equations.residuals import with_slopes
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.memoryless import Memoryless
 
@@ -61,15 +62,26 @@ class Search(Rebuilt):
         return [x, u], [ca.cse(ca.substitute(residual, load, ca.SX(1)))]
 
     @cached_property
+    def blocks(self) -> list[ca.SX]:
+        """Derivatives of the ``loaded`` residual with respect to both."""
+        scene, ((x, u), (residual,)) = self.scene, self.loaded
+        xi, _, balance = scene.static_balance
+        if balance.reaction is not None:
+            return [ca.jacobian(residual, x), ca.jacobian(residual, u)]
+        slope = ca.diag(1.0 / ca.DM(scene.nominal_residual)) @ balance.slope @ ca.diag(ca.DM(scene.nominal_strains))
+        scaled = ca.DM(scene.rest_coordinates) + ca.DM(scene.nominal_strains) * x
+        return [*ca.substitute([slope], [xi], [scaled]), ca.jacobian(residual, u)]
+
+    @cached_property
     def residual_function(self) -> ca.Function:
         """``(x, u) -> residual``."""
-        return ca.Function("residual", *self.loaded)
+        (x, u), (residual,) = self.loaded
+        return with_slopes("residual", {"x": x, "u": u}, residual, self.blocks)
 
     @cached_property
     def slopes(self) -> ca.Function:
         """``(x, u) -> `` derivatives of the residual with respect to both."""
-        (x, u), (residual,) = self.loaded
-        return ca.Function("slopes", [x, u], [ca.jacobian(residual, x), ca.jacobian(residual, u)])
+        return ca.Function("slopes", self.loaded[0], self.blocks)
 
     def strains(self, x: Array) -> Array:
         """Free strains (..., n_strains) of unknowns ``x`` (..., n_strains)."""
@@ -112,7 +124,9 @@ class Search(Rebuilt):
         }
         if solver == "kinsol":  # plain kinsol steps with stale Jacobians and solves 2 % of stiff tendon arms cold
             options |= {"strategy": "linesearch", "disable_internal_warnings": True}
-        return ca.rootfinder("equilibrium", solver, self.scene.native(self.residual_function), options)
+        x, u = (ca.MX.sym(name, self.residual_function.size1_in(name)) for name in ("x", "u"))
+        called = self.scene.native(self.residual_function)(x, u)  # by a call, through its own Jacobian
+        return ca.rootfinder("equilibrium", solver, ca.Function("called", [x, u], [called]), options)
 
     @cached_property
     def kinsol(self) -> ca.Function:

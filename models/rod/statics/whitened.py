@@ -67,7 +67,7 @@ class Whitened(Rebuilt):
     def _balance(self) -> ca.Function:
         """``(x, u) -> residual, dr/dx``."""
         (x, u), (residual,) = self.search.loaded
-        return ca.Function("balance", [x, u], [residual, ca.densify(ca.jacobian(residual, x))])
+        return ca.Function("balance", [x, u], [residual, ca.densify(self.search.blocks[0])])
 
     @cached_property
     def _buffered(self) -> tuple[Any, Array, Array, Array, Array]:

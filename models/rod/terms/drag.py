@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
@@ -11,6 +11,11 @@ from pisplit.checks import non_negative
 from pisplit.models.rod.kinematics.kinematics import Motion
 from pisplit.models.rod.terms.loads import Input, Loads
 
+if TYPE_CHECKING:
+    from pisplit.models.rod.section.body import Rod
+
+#: Drag in parts of the inertia of a swing as far as the rod is long, below which it is weak.
+WEAK = 0.01
 #: Speed in m/s below which the drag goes smoothly through zero.
 SPEED_FLOOR = 1e-6
 
@@ -38,6 +43,10 @@ class LinearDrag:
         if self.coefficient == 0.0:
             return
         loads.force -= self.coefficient * motion.velocity
+
+    def weak(self, rod: Rod) -> bool:
+        """Whether it is so small beside the inertia of the ``rod`` that steps converge without its derivative."""
+        return _share(rod, self.coefficient, 0.0) < WEAK
 
     def describe(self, rod: Any) -> str:
         """Coefficient. ``rod`` is that of the scene."""
@@ -69,6 +78,10 @@ class QuadraticDrag:
             return
         speed = ca.sqrt(ca.sum1(velocity * velocity) + SPEED_FLOOR**2)
         loads.force -= self.coefficient * ca.repmat(speed, 3, 1) * velocity
+
+    def weak(self, rod: Rod) -> bool:
+        """Whether it is so small beside the inertia of the ``rod`` that steps converge without its derivative."""
+        return _share(rod, 0.0, self.coefficient) < WEAK
 
     def describe(self, rod: Any) -> str:
         """Coefficient. ``rod`` is that of the scene."""
@@ -114,12 +127,22 @@ class AnisotropicDrag:
         force_t = _drag(self.tangential, self.tangential_quadratic, along)
         loads.force -= motion.to_world(ca.vertcat(force_n, force_t))
 
+    def weak(self, rod: Rod) -> bool:
+        """Whether it is so small beside the inertia of the ``rod`` that steps converge without its derivative."""
+        linear = max(self.normal, self.tangential)
+        return _share(rod, linear, max(self.normal_quadratic, self.tangential_quadratic)) < WEAK
+
     def describe(self, rod: Any) -> str:
         """Coefficients. ``rod`` is that of the scene."""
         return (
             f"drag across {self.normal:g} N s/m^2, {self.normal_quadratic:g} N s^2/m^3, "
             f"along {self.tangential:g} N s/m^2, {self.tangential_quadratic:g} N s^2/m^3"
         )
+
+
+def _share(rod: Rod, linear: float, quadratic: float) -> float:
+    """Drag of coefficients in N s/m^2 and N s^2/m^3 in parts of the inertia, at the first bending frequency."""
+    return (linear / rod.bending_rate + quadratic * rod.length) / rod.mass_per_length
 
 
 def _drag(linear: float, quadratic: float, q: ca.SX) -> ca.SX:
