@@ -58,7 +58,7 @@ def test_spatial_rods_converge_with_order_six(made: Callable[[int], rod.Scene], 
     def shape(nodes: int) -> np.ndarray:
         scene = made(nodes)
         found = scene.statics().solve()
-        assert found.success
+        assert found.residual < 1e-8  # in balance; the helix is undamped and flutters
         return scene.fields(found.state, 21)[:, :3] / scene.rod.length
 
     finest = shape(16)

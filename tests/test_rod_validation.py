@@ -58,7 +58,7 @@ def test_elastica_under_a_follower_force() -> None:
     for row in rows:
         equilibrium = statics.solve([row["force"], 0.0, 0.0])
         p, R = equilibrium.pose(1.0)
-        assert equilibrium.success
+        assert equilibrium.residual < 1e-8  # in balance; an undamped rod flutters from 22.4 EI/L^2 on
         assert np.abs(p - [row["tip_x"], 0.0, row["tip_z"]]).max() <= tolerance
         assert abs(np.arctan2(R[0, 2], R[2, 2])) == pytest.approx(row["tip_angle"], abs=tolerance)
 

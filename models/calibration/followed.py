@@ -6,6 +6,7 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.rod import Scene
+from pisplit.models.rod.statics.branch import LOST
 from pisplit.models.rod.statics.search import TOLERANCE
 
 #: Newton steps from a known shape to that of other parameters, and the largest of them in scaled strains.
@@ -54,7 +55,7 @@ class FollowedShapes:
             if near is not None and branches.near(near, w).stable:
                 return near
             verdict = branches.of_state(start, w, start, before, False)
-        rests = verdict.branch != "unverified" and search.worst(verdict.x, w) <= TOLERANCE
+        rests = verdict.branch not in LOST and search.worst(verdict.x, w) <= TOLERANCE
         return verdict.x if rests else None
 
     def _newton(self, x: Array, w: Array) -> Array | None:

@@ -45,21 +45,24 @@ class Stability:
 
     Attributes:
         margin: smallest eigenvalue of the tangent stiffness in parts of the elastic stiffness of the rod: 1 for a free
-            rod, 0 where an equilibrium turns unstable (for a conservative scene).
+            rod, 0 where an equilibrium buckles; least real part where loads have no energy.
         mode: free strains (n_strains,) of that eigenvalue, largest entry 1.
         asymmetry: size of the antisymmetric part of the tangent stiffness in parts of the symmetric one. Follower loads
             make it: with them a positive margin rules out buckling (divergence) but not flutter. In a spatial scene on
             few nodes the usual balance adds some; ``scene.variational()`` does not.
+        growth: rate in 1/s at which the vibration grows that grows fastest in parts of its frequency, by the linearised
+            motion with the inertia and damping of the scene; 0 where none does. Asked where loads have no energy.
     """
 
     margin: float
     mode: Array
     asymmetry: float
+    growth: float = 0.0
 
     @property
     def stable(self) -> bool:
-        """Whether the margin is positive."""
-        return self.margin > 0.0
+        """Whether the margin is positive and no vibration grows."""
+        return self.margin > 0.0 and not self.growth
 
 
 class Tangent:

@@ -16,6 +16,7 @@ from pisplit.models.rod.statics.branch import RESTING, told
 from pisplit.models.rod.statics.certificate import without_energy
 from pisplit.models.rod.statics.descent import descend
 from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium
+from pisplit.models.rod.statics.flutter import Flutter, Vibration
 from pisplit.models.rod.statics.held import HeldJudge
 from pisplit.models.rod.statics.held_balance import UNIT, HeldBalance
 from pisplit.models.rod.statics.held_resolution import HeldResolution
@@ -253,6 +254,20 @@ class FixedTip(Rebuilt):
         stable = self.judge.stable(way(y, 1.0)[1])
         return self._found(Walk(y, 1.0, stable, ()), u, journey, "given")
 
+    def _vibration(self, y: Array, u: Array, journey: Journey) -> Vibration | None:
+        """The vibration that grows about ``y`` at the end of a ``journey`` under ``u`` (n_inputs,), or None."""
+        if self.judge.has_energy:
+            return None
+        n, stiffness = self.scene.n_strains, self.way(u, journey)(y, 1.0)[1]
+        along = self.judge.basis(stiffness)
+        across = np.linalg.svd(stiffness[:n, n:])[0][:, n - along.shape[1] :]
+        return self._flutter.under(y[:n], u, stiffness[:n, :n], along, across)
+
+    @cached_property
+    def _flutter(self) -> Flutter:
+        """Tells shapes about which vibrations grow that leave the tip in its place."""
+        return Flutter(self.whitened)
+
     def _found(
         self, walked: Walk, u: Array, journey: Journey, branch: str = "followed", of: str = "of the way"
     ) -> FixedTipEquilibrium:
@@ -261,7 +276,8 @@ class FixedTip(Rebuilt):
         errors = self._balance.errors(y[:n] / of_x, y[n:], u, pose)[:2]
         residual = max(float(np.abs(np.asarray(e)).max()) for e in errors)
         met = bool(residual <= TOLERANCE)
-        success = met and walked.success
+        vibration = self._vibration(y, u, journey) if met and walked.success else None
+        success = met and walked.success and vibration is None
         lost = [told(e, of) for e in walked.events]
         first = walked.events[0].at if walked.events else 1.0
         what = "the loads of the held rod could grow" if of == "of the loads" else "the tip could be moved"
@@ -269,13 +285,15 @@ class FixedTip(Rebuilt):
         if success:
             branch = "snapped" if lost else branch
             message = f"lost stability at {', '.join(lost)}; this is where it rests behind" if lost else ""
+        elif vibration is not None:
+            message = "; ".join([f"lost stability at {event}" for event in lost] + [f"it flutters: {vibration}"])
         elif branch == "given":
             message = "the equilibrium near the guess is unstable; leave guess out" if met else "none near the guess"
         else:
             message = f"{where}; lost stability at {', '.join(lost)}" if lost else where
         wrench = self._balance.wrench(y[n:], pose[3:].reshape(3, 3, order="F"), np.zeros(3), np.zeros(3))
         state = self.scene.at_rest(self._search.strains(self.whitened.unknowns(y[:n])), u)
-        if not success:
+        if not success and vibration is None:
             message = "; ".join(filter(None, [message, doubt(self.scene, state, walked.t)]))
         return FixedTipEquilibrium(
             state,
@@ -283,8 +301,8 @@ class FixedTip(Rebuilt):
             success,
             residual,
             message,
-            stable=walked.success,
-            branch=branch if success else "unverified",
+            stable=walked.success and vibration is None,
+            branch=branch if success else "unverified" if vibration is None else "flutters",
             load_factor=first if success or branch == "given" else min(first, walked.t),
             clamped=self.clamped,
             scene=self.scene,

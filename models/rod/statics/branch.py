@@ -11,6 +11,7 @@ from pisplit.checks import Array
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.certificate import Certificate, without_energy
 from pisplit.models.rod.statics.descent import Judge
+from pisplit.models.rod.statics.flutter import Flutter, Spot, Vibration
 from pisplit.models.rod.statics.path import Event, Walk, walk
 from pisplit.models.rod.statics.search import Search, attempt
 from pisplit.models.rod.statics.whitened import Whitened
@@ -31,8 +32,8 @@ class Verdict:
 
     Attributes:
         x: scaled unknowns (n,).
-        branch: "unique", "followed", "snapped" or "unverified": see ``Equilibrium``.
-        stable: whether no deformation goes on by itself.
+        branch: "unique", "followed", "snapped", "flutters" or "unverified": see ``Equilibrium``.
+        stable: whether no deformation goes on by itself and no vibration grows.
         load_factor: part of the loads up to which loading was followed without loss of stability.
         message: what happened on the way, empty if nothing did.
     """
@@ -42,6 +43,10 @@ class Verdict:
     stable: bool
     load_factor: float
     message: str
+
+
+#: Branches that a rod does not take.
+LOST = ("unverified", "flutters")
 
 
 class Branches(Rebuilt):
@@ -73,6 +78,11 @@ class Branches(Rebuilt):
         """Tells stable shapes."""
         return Judge(not without_energy(self.search.scene))
 
+    @cached_property
+    def flutter(self) -> Flutter:
+        """Tells shapes about which vibrations grow."""
+        return Flutter(self.whitened)
+
     def unique(self, u: Array) -> bool:
         """Whether there is only one equilibrium under ``u`` (n_inputs,), as far as can be proved."""
         return SAFE * self.certificate.unique_below(u) >= 1.0
@@ -95,7 +105,7 @@ class Branches(Rebuilt):
         if converged and unique_to >= WORTH_UNLOADING and self._unloads(x, u, unique_to):
             return Verdict(x, "followed", True, 1.0, "")
         found = walk(self.whitened.loading(u), np.zeros(len(x)), self.judge)
-        return self._verdict(found, u, "of the loads")
+        return self._verdict(found, u, "of the loads", None)
 
     def of_state(self, x: Array, u: Array, start: Array, before: Array, converged: bool) -> Verdict:
         """The equilibrium that is reached from another one by moving the inputs.
@@ -110,7 +120,7 @@ class Branches(Rebuilt):
         if converged and self.unique(u):
             return Verdict(x, "unique", True, 1.0, "")
         found = walk(self.whitened.commands(before, u), self.whitened.of(start), self.judge)
-        return self._verdict(found, u, "of the change of the inputs")
+        return self._verdict(found, u, "of the change of the inputs", before)
 
     def near(self, x: Array, u: Array) -> Verdict:
         """The equilibrium ``x`` (n,) under ``u`` (n_inputs,) near a guess: its stability is known, its history not."""
@@ -120,6 +130,10 @@ class Branches(Rebuilt):
         stable = self.judge.stable(stiffness)
         margin = self.judge.softest(stiffness)[0] if np.isfinite(stiffness).all() else -np.inf
         message = "" if stable else f"the equilibrium near the guess is unstable (margin {margin:.2g}); leave guess out"
+        if stable and not self.judge.has_energy:
+            vibration = self.flutter.at(self.whitened.of(x), u)
+            if vibration is not None:
+                return Verdict(x, "flutters", False, 0.0, f"the equilibrium near the guess flutters: {vibration}")
         return Verdict(x, "given" if stable else "unverified", stable, 1.0 if stable else 0.0, message)
 
     def rests(self, x: Array, u: Array) -> bool:
@@ -138,22 +152,41 @@ class Branches(Rebuilt):
             return False
         return walk(self.whitened.loading(u, 1.0, to), y, self.judge, snaps=False).success
 
-    def _verdict(self, found: Walk, u: Array, of_what: str) -> Verdict:
+    def _verdict(self, found: Walk, u: Array, of_what: str, before: Array | None) -> Verdict:
+        """What a walk under the inputs ``u``, or from the inputs ``before`` to them, ``found``."""
         x = self.whitened.unknowns(found.y)
         if found.success and self.search.worst(x, u) > POLISHED:  # a walk ends with a force that is small, not zero
             exact = attempt(self.search.newton, x, u)
             x = exact if np.abs(exact - x).max() < SAME else x
         lost = [told(e, of_what) for e in found.events]
         first = found.events[0].at if found.events else 1.0
-        if found.success:
-            branch = "snapped" if lost else "followed"
-            message = f"lost stability at {', '.join(lost)}; this is where it rests behind" if lost else ""
-            return Verdict(x, branch, True, first, message)
-        if found.events and not found.events[-1].at_rest:
-            message = f"lost stability at {', '.join(lost)} and found no rest behind"
-        else:
-            message = f"no equilibrium found: loading was followed to {found.t:.3g} {of_what}"
-        return Verdict(x, "unverified", False, min(first, found.t), message)
+        if not found.success:
+            if found.events and not found.events[-1].at_rest:
+                message = f"lost stability at {', '.join(lost)} and found no rest behind"
+            else:
+                message = f"no equilibrium found: loading was followed to {found.t:.3g} {of_what}"
+            return Verdict(x, "unverified", False, min(first, found.t), message)
+        at_end, met = self._shaken(found, x, u, before)
+        if met is not None:
+            lost.append(f"{met[0]:.4g} {of_what} (flutter: {met[1]})")
+            first = min(first, met[0])
+        if at_end is not None:
+            return Verdict(
+                x, "flutters", False, first, f"lost stability at {', '.join(lost)}; there is no rest: {at_end}"
+            )
+        message = f"lost stability at {', '.join(lost)}; this is where it rests behind" if lost else ""
+        return Verdict(x, "snapped" if lost else "followed", True, first, message)
+
+    def _shaken(
+        self, found: Walk, x: Array, u: Array, before: Array | None
+    ) -> tuple[Vibration | None, tuple[float, Vibration] | None]:
+        """The vibration that grows about the end ``x`` of a walk, and where on its way one does first."""
+        if self.judge.has_energy:
+            return None, None
+        places = (*found.passed, (1.0, self.whitened.of(x)))
+        if before is None:
+            return self.flutter.met([Spot(t, y, u, t) for t, y in places])
+        return self.flutter.met([Spot(t, y, before + t * (u - before), 1.0) for t, y in places])
 
 
 def told(event: Event, of_what: str) -> str:

@@ -59,12 +59,14 @@ class Equilibrium(Shape):
         tensions: (tendons,) in N.
         slack: (tendons,), by how much each tendon is longer than its path, in m (0 when taut).
         message: why the search failed, or where stability was lost on the way; empty if nothing happened.
-        stable: whether no deformation goes on by itself; None where nobody looked.
+        stable: whether no deformation goes on by itself and, where loads have no energy (followers, friction, spin),
+            no vibration grows; None where nobody looked.
         branch: ``"unique"`` (there is no other equilibrium), ``"followed"`` (slow loading of the unloaded rod, or slow
             motion of the inputs from the given state, ends here), ``"snapped"`` (the same, and stability was lost on
             the way: the rod buckled or snapped through and came to rest again), ``"given"`` (stable and near the guess;
-            how it is reached is not known), ``"settled"`` (a base on a joint was let go and came to rest) or
-            ``"unverified"``.
+            how it is reached is not known), ``"settled"`` (a base on a joint was let go and came to rest),
+            ``"flutters"`` (in balance, but a vibration about it grows with the inertia and damping of the scene) or
+            ``"unverified"``; the last two without ``success``.
         load_factor: part of the loads, or of the change of inputs, at which stability was lost first; 1 if it was not.
         scene: the scene in equilibrium.
     """

@@ -27,9 +27,9 @@ class FixedTipEquilibrium(Shape):
         success: whether balance and pose are met by a stable shape; message: why not, or where stability was lost on
             the way to it.
         residual: largest error of balance (parts of EI/L) and pose (parts of L, rad).
-        stable: whether no deformation that leaves the tip in its place goes on by itself.
-        branch: ``"followed"``, ``"snapped"``, ``"given"`` or ``"unverified"`` as in ``Equilibrium``, for the motion of
-            the tip from where it started.
+        stable: whether no deformation that leaves the tip in its place goes on by itself and no such vibration grows.
+        branch: ``"followed"``, ``"snapped"``, ``"given"``, ``"flutters"`` or ``"unverified"`` as in
+            ``Equilibrium``, for the motion of the tip from where it started.
         load_factor: part of the way of the tip at which stability was lost first; 1 if it was not.
         clamped: whether the rotation of the tip is prescribed beside its position.
         scene: the scene in equilibrium.

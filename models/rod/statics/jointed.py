@@ -13,7 +13,9 @@ import numpy as np
 from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
+from pisplit.models.rod.statics.certificate import without_energy
 from pisplit.models.rod.statics.equilibrium import Equilibrium
+from pisplit.models.rod.statics.flutter import Vibration
 from pisplit.models.rod.statics.resolution import Resolution
 from pisplit.models.rod.statics.search import TOLERANCE
 from pisplit.models.rod.terms.base import Base
@@ -154,6 +156,10 @@ class JointedScene(Rebuilt):
         if came:
             x = self._settled(x, u)
             self.resolution.check(scene.at_rest(x, u)[None])
+        branch = ("settled" if moved else found.branch) if came else "unverified"
+        vibration = self._vibration(x, u) if came and without_energy(scene) else None
+        if vibration is not None:
+            came, branch, message = False, "flutters", f"it flutters: {vibration}"
         return Equilibrium(
             state=scene.at_rest(x, u),
             success=came,
@@ -163,10 +169,15 @@ class JointedScene(Rebuilt):
             tensions=found.tensions,
             slack=found.slack,
             message=message,
-            stable=came or None,
-            branch=("settled" if moved else found.branch) if came else "unverified",
+            stable=False if vibration is not None else came or None,
+            branch=branch,
             scene=self.given,
         )
+
+    def _vibration(self, x: Array, u: Array) -> Vibration | None:
+        """The vibration of rod and joint that grows about coordinates ``x`` (n,) under ``u`` (n_inputs,), or None."""
+        branches = self.scene.statics().branches
+        return branches.flutter.at(branches.whitened.of(branches.search.scaled(x)), u)
 
     def _held_at(self, q: Array, u: Array, guess: Array | None) -> Equilibrium:
         """Equilibrium with the base held at ``q`` (f,) under ``u``, near strains ``guess`` or loaded from nothing."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,12 +55,14 @@ class Walk:
         t: parameter that was reached, 1 at the end.
         success: whether the end was reached at a stable equilibrium.
         events: losses of stability on the way.
+        passed: equilibria (t, y) on the way, in order.
     """
 
     y: Array
     t: float
     success: bool
     events: tuple[Event, ...]
+    passed: tuple[tuple[float, Array], ...] = ()
 
 
 def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
@@ -71,10 +73,11 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
     nothing the branch has ended: the rod is pushed along its softest direction and sinks (``descend``) to where it
     rests under a slightly larger load; with ``snaps=False`` the walk ends there.
     """
-    events: list[Event] = []
+    events, passed = list[Event](), list[tuple[float, Array]]()
     t, step = 0.0, 1.0
     force, stiffness, rate = way(y, 0.0)
     y = y + solved(_shifted(stiffness, 1e-2 * SHIFT), force)
+    passed.append((t, y))
     tangent = solved(_shifted(stiffness), rate)
     before: tuple[Array, float] | None = None
     fresh = False
@@ -96,6 +99,7 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
         if accepted:
             before = tangent, step
             y, t, stiffness, rate, fresh = guess + correction, ahead, now, rate_ahead, False
+            passed.append((t, y))
             tangent = solved(_shifted(now), rate)
             step *= min(3.0, max(1.0, 0.7 / np.sqrt(max(part, 1e-3))))
             continue
@@ -116,8 +120,9 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
         if not rests:
             return Walk(y, t, False, tuple(events))
         y, stiffness, rate = _settled(way, y, t, judge)
+        passed.append((t, y))
         tangent, before, fresh, step = solved(_shifted(stiffness), rate), None, True, 0.02
-    return _ended(way, y, judge, tuple(events))
+    return replace(_ended(way, y, judge, tuple(events)), passed=tuple(passed))
 
 
 def _ended(way: Way, y: Array, judge: Judge, events: tuple[Event, ...]) -> Walk:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pisplit.checks import Array
-from pisplit.models.rod.statics.branch import RESTING
+from pisplit.models.rod.statics.branch import LOST, RESTING
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.search import TOLERANCE, attempt
 
@@ -118,8 +118,10 @@ def follow_rows(statics: Statics, rows: Array) -> EquilibriumBatch:
             verdict = statics.branches.of_state(candidate, u, x, before, converged)
         found[k] = verdict.x
         worst[k] = search.worst(found[k], u)
-        if worst[k] <= TOLERANCE and verdict.branch != "unverified":
-            x, before, branch[k] = found[k], u, verdict.branch
+        if worst[k] <= TOLERANCE:
+            branch[k] = verdict.branch
+        if branch[k] not in LOST:
+            x, before = found[k], u
         factor[k] = verdict.load_factor
         tensions.append(statics.read(found[k], u)[0])
     return _checked(statics, scene.at_rest(search.strains(found), rows), branch, worst, np.array(tensions), factor)
@@ -129,7 +131,7 @@ def _checked(
     statics: Statics, states: Array, branch: np.ndarray, worst: Array, tensions: Array, factor: Array
 ) -> EquilibriumBatch:
     """The batch, after its most bent shape was looked at."""
-    good = branch != "unverified"
+    good = ~np.isin(branch.astype(str), LOST)
     statics.check(states, good)
     return EquilibriumBatch(states, good, worst, tensions, branch.astype(str), factor, scene=statics.scene)
 

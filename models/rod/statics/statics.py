@@ -17,7 +17,7 @@ from pisplit.models.rod.output.paying import Compiled
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.statics.boundary import FixedTip
-from pisplit.models.rod.statics.branch import Branches, Verdict
+from pisplit.models.rod.statics.branch import LOST, Branches, Verdict
 from pisplit.models.rod.statics.equilibrium import Equilibrium, EquilibriumBatch
 from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium, after
 from pisplit.models.rod.statics.held_scene import HeldScene
@@ -127,7 +127,7 @@ class Statics(Rebuilt):
         if verdict.x is not x:
             x, iterations, solver = verdict.x, None, "path"
             residual = search.worst(x, u)
-        success = bool(residual <= TOLERANCE and verdict.branch != "unverified")
+        success = bool(residual <= TOLERANCE and verdict.branch not in LOST)
         tensions, slack = self.read(x, u)
         state = scene.at_rest(search.strains(x), u)
         self.check(state[None], success)
@@ -141,7 +141,7 @@ class Statics(Rebuilt):
             slack=slack,
             message=verdict.message if success or verdict.message else f"not converged: residual {residual:.1e} EI/L",
             stable=verdict.stable,
-            branch=verdict.branch if success else "unverified",
+            branch=verdict.branch if residual <= TOLERANCE else "unverified",
             load_factor=verdict.load_factor,
             scene=scene,
         )
@@ -254,7 +254,7 @@ class Statics(Rebuilt):
         """Least stiffness of a ``state`` [xi, 0, u] (n_states,) at rest, in parts of the elastic one.
 
         Negative: unstable. Without an energy (follower loads, friction) it is the least real part of the eigenvalues,
-        which rules out buckling, not flutter.
+        which rules out buckling, not flutter: see ``stability``.
         """
         strains, *_, u = self.scene.layout.split(checked_state(self.scene, state))
         if self.jointed is not None:
@@ -272,7 +272,22 @@ class Statics(Rebuilt):
         self._need_clamp()
         if self.held is not None:
             raise ValueError("stability is that of a free tip; statics().margin(state) tells of one that is held")
-        return stability(self.scene, checked_state(self.scene, state))
+        x = checked_state(self.scene, state)
+        found = stability(self.scene, x)
+        if self.branches.judge.has_energy:
+            return found
+        strains, *_, u = self.scene.layout.split(x)
+        whitened, judge = self.branches.whitened, self.branches.judge
+        y = whitened.of(self.search.scaled(strains))
+        margin, direction = judge.softest(whitened.stiffness(y, u))
+        mode = direction / whitened.sizes[0] * self.scene.nominal_strains
+        vibration = self.branches.flutter.at(y, u)
+        return replace(
+            found,
+            margin=margin,
+            mode=mode / mode[np.abs(mode).argmax()],
+            growth=0.0 if vibration is None else vibration.value.real,
+        )
 
     @in_turn()
     def inverse(
