@@ -95,7 +95,12 @@ class Equilibrium(Shape):
 
         That of the grid alone. Infinite for a search that failed.
         """
-        return self.scene.statics().error(self.state) if self.success else float("inf")
+        return self.scene.statics().error(self.state) if self.balanced else float("inf")
+
+    @property
+    def balanced(self) -> bool:
+        """Whether it is an equilibrium that was found, be it one about which a vibration grows."""
+        return self.success or self.branch == "flutters"
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """The shape with its tendons coloured by tension; written to ``path`` where one is given."""

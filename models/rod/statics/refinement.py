@@ -93,7 +93,7 @@ def resolved(scene: Scene, inputs: Array, tolerance: float) -> Scene:
                 warnings.simplefilter("ignore", Unresolved)
                 found = statics.solve(u)
             finer: Scene | None
-            if found.success:
+            if found.balanced:
                 if statics.resolution.error(found.state) <= tolerance:
                     continue
                 finer = statics.resolution.would_do(found.state, tolerance)

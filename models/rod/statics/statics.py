@@ -130,7 +130,7 @@ class Statics(Rebuilt):
         success = bool(residual <= TOLERANCE and verdict.branch not in LOST)
         tensions, slack = self.read(x, u)
         state = scene.at_rest(search.strains(x), u)
-        self.check(state[None], success)
+        self.check(state[None], residual <= TOLERANCE and verdict.branch != "unverified")
         return Equilibrium(
             state=state,
             success=success,
