@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import re
-import sys
 import warnings
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -12,15 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from messy_generator import DT, File, N, T, U, X, check, lines, plain
 from numpy.typing import NDArray
 
 from pisplit import Episodes
-
-sys.path.insert(0, str(Path(__file__).parent))  # the motion, and how a file is checked
-messy = importlib.import_module("test_messy_files")
-sys.path.pop(0)
-DT, N, T, U, X = messy.DT, messy.N, messy.T, messy.U, messy.X
-File, check, lines, plain = messy.File, messy.check, messy.lines, messy.plain
 
 Array = NDArray[np.float64]
 
@@ -112,7 +105,7 @@ def drives() -> list[Any]:
             dt=1e-3,
             inputs_within=3e-4,  # 0.24 us of a clock since 1970 in a float, of 1 ms
         ),
-        File("units in names", plain("t_s,x_mm,y_m,u"), {"time": "t_s", "states": ["x_mm", "y_m"]}, units=("", "")),
+        File("units in names", plain("t_s,x_m,y_m,u"), {"time": "t_s", "states": ["x_m", "y_m"]}, units=("", "")),
         File("a row of units with a hole", plain("t,x,y,u\ns,mm,,m/s^2", x=1e3), units=("m", "")),
         File("hexadecimal", "t,x,y,u\n" + lines([T, [hex(int(1e6 * x)) for x in X[:, 0]], X[:, 1], U]), refused="'0x"),
         *[

@@ -29,6 +29,7 @@ GROUPED = {
 MISSING = {"", "nan", "na", "n/a", "<na>", "nat", "null", "none", "nil", "-", "--", "---", "missing"}
 #: The same as C libraries and spreadsheets write it.
 MISSING |= {"-nan", "nan(ind)", "-nan(ind)", "1.#ind", "-1.#ind", "1.#qnan", "#n/a", "#div/0!", "#value!", "#num!"}
+MISSING |= {"nan(snan)", "#ref!", "#null!", "#name?", "n.a."}
 #: A clock of the day that falls by more than this [s] has passed midnight.
 DAY, MIDNIGHT = 86400.0, 0.9 * 86400.0
 TRUTH = {"true": 1.0, "false": 0.0}

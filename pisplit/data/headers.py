@@ -9,11 +9,15 @@ from difflib import get_close_matches
 from itertools import pairwise
 
 from pisplit.data.cells import is_cell, is_number
-from pisplit.data.units import written
+from pisplit.data.units import to_si, written
 
 #: Lines in which a header is looked for, and rows that it may have.
 TOP, ROWS = 120, 6
 BRACKETS = re.compile(r"^(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]$")
+#: A unit behind a name without brackets: "x / mm" as in ISO 80000, "x, mm".
+BEHIND = re.compile(r"^(.*\S)(?:\s+/|,)\s+(\S+)$")
+#: What looks like a unit, and may be part of a name: "x_mm", "x in mm".
+SUFFIX = re.compile(r"^.*\S(?:_| in |\.)([A-Za-z]{2,})$")
 SEPARATORS = re.compile(r"[\s./_:]+")
 #: Ends of names of clocks that name their unit.
 CLOCK_UNITS = {"ms": "ms", "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "sec": "s", "s": "s"}
@@ -156,12 +160,14 @@ def _stacked(rows: Sequence[Row], at: int, cells: Sequence[str]) -> tuple[tuple[
 
 
 def _units(rows: Sequence[Row], at: int, cells: Sequence[str]) -> dict[int, str]:
-    """Units in the row below the names, and those that the lines above give for all positions (OptiTrack)."""
+    """Units in the row below or above the names, and those that the lines above give for all positions (OptiTrack)."""
     below = rows[at + 1][1] if at + 1 < len(rows) else []
-    if any(below) and not any(is_cell(cell) for cell in below if cell):
-        found = {i: written(cell) for i, cell in enumerate(below[: len(cells)]) if cell}
-        if found and all(unit is not None or _dashes(below[i]) for i, unit in found.items()):
-            return {i: unit for i, unit in found.items() if unit}
+    above = rows[at - 1][1] if at > 0 and len(rows[at - 1][1]) == len(cells) > 1 else []
+    for row in (below, above):
+        if any(row) and not any(is_cell(cell) for cell in row if cell):
+            found = {i: written(cell) for i, cell in enumerate(row[: len(cells)]) if cell}
+            if found and all(unit is not None or _dashes(row[i]) for i, unit in found.items()):
+                return {i: unit for i, unit in found.items() if unit}
     for _, row in rows[:at]:
         for key, value in pairwise(row):
             unit = written(value) if key.lower() == "length units" else None
@@ -177,11 +183,19 @@ def _dashes(cell: str) -> bool:
 
 def without_unit(name: str) -> tuple[str, str | None]:
     """The ``name`` and the unit in brackets behind it, if it is one."""
-    match = BRACKETS.match(name)
-    if match is None or not match.group(1) or match.group(2).strip().lower() in OTHER_WORDS:
+    match = BRACKETS.match(name) or BEHIND.match(name)
+    square = name.endswith("[in]")  # inches; "flow (in)" is none
+    if match is None or not match.group(1) or (match.group(2).strip().lower() in OTHER_WORDS and not square):
         return name, None
     unit = written(match.group(2))
     return (match.group(1), unit) if unit else (name, None)
+
+
+def suffix(name: str) -> str | None:
+    """The unit other than that of SI that a ``name`` may end with, as "x_mm" does, and that nobody converts."""
+    match = SUFFIX.match(name)
+    unit = written(match.group(1)) if match and without_unit(name)[1] is None else None
+    return unit if unit and to_si(unit, "")[1] != 1.0 and unit not in OTHER_WORDS else None
 
 
 def _words(name: str) -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ from pisplit.data.warning import warn
 
 #: Lines that tell the delimiter.
 TOP = 200
+#: Nanoseconds of fractions of a second, by what the name of their column has, the longest word first.
+FRACTIONS = {r"n(ano)?_?s": 1, r"(u|micro)_?s|micros": 1_000, r"(m|milli)_?s|millis": 1_000_000}
+SECOND_NS, MICROS = 1_000_000_000, 1_000_000
 #: What helps where the line below a header holds words.
 SECOND = "; a second line of names or units: take it out, or give names= for all columns"
 
@@ -88,6 +92,8 @@ def from_csv(
         more = (delimiter, None, decimal, encoding)
         sensors = [table(file, clock, groups[0], episode, delimiter, names, decimal, encoding) for file in files]
         sent = [table(file, other, groups[1], None, *more) for file in files_of(commands)]
+        say_suffixes(sensors[:1], groups[0], options, "state_units")
+        say_suffixes(sent[:1], groups[1], options, "input_units")
         told = (command_time_unit, command_shift)
         return merging.from_two_clocks(sensors, sent, groups[0], groups[1], told, options)
     if command_time is not None or command_time_unit is not None:
@@ -95,6 +101,8 @@ def from_csv(
     read = [
         table(file, clock, [*groups[0], *groups[1]], episode, delimiter, names, decimal, encoding) for file in files
     ]
+    say_suffixes(read[:1], groups[0], options, "state_units")
+    say_suffixes(read[:1], groups[1], options, "input_units")
     return from_columns(read, groups[0], groups[1], {**options, "command_shift": command_shift})
 
 
@@ -153,7 +161,32 @@ def _read_times(
     parts = [np.asarray(cells.times(path, part, decimal)[0]) for part in times]
     if len(parts) != 2 or any(part.dtype.kind != "i" for part in parts):
         raise ValueError(f"{path}: two columns of times are whole seconds and nanoseconds; got others")
-    return parts[0] * 1_000_000_000 + parts[1], "ns"
+    name = " ".join(header.columns[where[1]])
+    fine = next((ns for word, ns in FRACTIONS.items() if re.search(word, name.lower())), 1)
+    largest = int(parts[1].max(initial=0))
+    if largest * fine >= SECOND_NS or (fine == 1 and largest < MICROS and len(parts[1]) > 1 and largest > 0):
+        raise ValueError(
+            f"{path}: {name!r} goes to {largest} beside whole seconds; expected nanoseconds, or a name that "
+            "tells others, such as usec or msec"
+        )
+    return parts[0] * SECOND_NS + parts[1] * fine, "ns"
+
+
+def say_suffixes(tables: Sequence[Table], names: Sequence[str], options: Mapping[str, Any], argument: str) -> None:
+    """Warn of columns ``names`` that look as if they told a unit which nobody converts.
+
+    Not where ``tables`` tell their units, or the ``options`` do by the ``argument`` "state_units" or "input_units".
+    """
+    known = {name for t in tables for name in t.units}
+    bare = [name for name in names if name not in known] if options.get(argument) is None else []
+    found = {name: unit for name in bare if (unit := headers.suffix(name))}
+    if found:
+        name, unit = next(iter(found.items()))
+        more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+        warn(
+            f"{name!r}{more}: in {unit} by its name? Numbers are taken as they are; {argument}={unit!r} converts them, "
+            f"{argument}='' keeps them"
+        )
 
 
 def _header(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +27,8 @@ MARKS = {
     codecs.BOM_UTF16_BE: "utf-16",
 }
 DELIMITERS = (",", ";", "\t", "|", " ")
+#: A line that is one quoted cell with delimiters inside.
+WHOLE_LINE = re.compile(r'"[^"]*[,;\t|][^"]*"')
 
 
 def text_of(path: str | os.PathLike[str], encoding: str | None = None) -> str:
@@ -46,13 +49,21 @@ def text_of(path: str | os.PathLike[str], encoding: str | None = None) -> str:
             raise ValueError(f"{place} is {what}")
     for name in [encoding] if encoding is not None else _encodings(content):
         try:
-            return content.decode(name)
+            return unwrapped(content.decode(name))
         except UnicodeDecodeError:
             continue
         except LookupError:
             raise ValueError(f"encoding = {name!r} is unknown; expected a name such as 'utf-8' or 'latin-1'") from None
     wanted = "text" if encoding is None else f"text in {encoding}"
     raise ValueError(f"{place} is no {wanted}; save it as UTF-8, or give its encoding=")
+
+
+def unwrapped(text: str) -> str:
+    """The ``text`` of a table without quotes around whole lines; spreadsheets put them where they cut none."""
+    first = [line for line in text[:20_000].splitlines()[:20] if line]
+    if len(first) < 3 or not all(WHOLE_LINE.fullmatch(line) for line in first[:-1]):
+        return text
+    return "\n".join(line[1:-1] if WHOLE_LINE.fullmatch(line) else line for line in text.splitlines()) + "\n"
 
 
 def _encodings(content: bytes) -> list[str]:
