@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pisplit.models.rod.dynamics.integrator import Simulator
     from pisplit.models.rod.scene import Scene
 
-#: Newton corrections of a step, all with one matrix.
-CORRECTIONS = 5
+#: Newton corrections of a step, all with one matrix, at least and at most.
+CORRECTIONS = (3, 6)
 #: Last correction of the strains in parts of their nominal size up to which a step converged.
 CONVERGED = 1e-3
 #: Defect at the start of a step up to which it is taken: see ``FastStepper``.
@@ -61,8 +61,8 @@ class _Taken:
 class FastStepper(Stepper):
     """Motion of a scene in few large Radau steps, up to 64 of them in one CasADi call: for data, loops and predictions.
 
-    Every step starts from zero accelerations and takes five Newton corrections with one matrix. Its last correction and
-    its defect, what the balance misses at the start of the step in terms of strains, decide whether it is taken: the
+    Every step starts from zero accelerations and takes three to six Newton corrections with one matrix. The last one
+    and its defect, what the balance misses at the start of the step in terms of strains, say whether it is taken: the
     step with the largest defect of every call is done again in two halves, which tells what a defect is worth in
     metres; intervals with a large defect or an error of more than ``accuracy`` L, and those that do not converge, are
     taken in halves, quarters and so on, each of which is compared with its own halves, and by IDAS where that fails.
@@ -124,9 +124,8 @@ class FastStepper(Stepper):
         x, u0, u1, h, _ = scheme.symbols
         residual = scene.native(scene.motion_residual)
         newton = SimplifiedNewton(scheme)
-        inverses, z, size = newton.inverses(x, u0, u1, h), ca.MX(n, s), ca.MX(np.inf)
-        for _ in range(CORRECTIONS):
-            z, size = newton.corrected(x, u0, u1, h, z, inverses)
+        inverses = newton.inverses(x, u0, u1, h)
+        z, size = newton.converged(x, u0, u1, h, ca.MX(n, s), inverses, CORRECTIONS)
         end = scheme.end(x, z, h)
         # The residual at the start as a force that acts over the step: how far it would bend the rod.
         first = z @ ca.DM(np.linalg.solve(np.vander(scheme.c).T, np.eye(s)[-1]))

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 #: Where in a step the derivatives are taken, on the motion with the rates of its start: of 0.5, 0.64 and 0.8 the last
 #: converges fastest.
 AT = 0.8
+#: Strains left to correct, in parts of their nominal size, that are small enough.
+ENOUGH = 5e-5
 
 
 class SimplifiedNewton:
@@ -86,6 +88,36 @@ class SimplifiedNewton:
         change = self.applied(inverses, missed)
         nominal = ca.DM(np.tile(scheme.equations.nominal_strains, (scheme.stages, 1)).T)
         return z - change, h**2 * ca.norm_fro(change / nominal)  # norm_inf of CasADi passes over NaN
+
+    def converged(
+        self, x: ca.MX, u0: ca.MX, u1: ca.MX, h: ca.MX, z: ca.MX, inverses: list[ca.MX], corrections: tuple[int, int]
+    ) -> tuple[ca.MX, ca.MX]:
+        """Accelerations (n, s) after as many corrections as they need, and the size of the last one in strains.
+
+        What is left after a correction is about t / (1 - t) times its size, with t the last contraction, 0.1 at least
+        (Hairer and Wanner, 1996, section IV.8): below ``ENOUGH`` there are no more.
+
+        Args:
+            x, u0, u1, h, z: as in ``Collocation.symbols``.
+            inverses: of the blocks.
+            corrections: at least and at most.
+        """
+        least, most = corrections
+        last = size = ca.MX(np.inf)
+        for _ in range(least):
+            last, (z, size) = size, self.corrected(x, u0, u1, h, z, inverses)
+        given = [x, u0, u1, h, z, last, size, *inverses]
+        symbols = [ca.MX.sym(f"i{k}", *value.shape) for k, value in enumerate(given)]
+        y, before, after, step, guess, _, latest, *by = symbols
+        found, next_size = self.corrected(y, before, after, step, guess, by)
+        again = ca.Function("again", symbols, [found, latest, next_size])
+        enough = ca.Function("enough", symbols, symbols[4:7])
+        correct = ca.Function.if_else("correct", again, enough)
+        for _ in range(most - least):
+            rate = ca.fmax(size / last, 0.1)
+            left = ca.if_else(rate < 1.0, size * rate / (1.0 - rate), np.inf)
+            z, last, size = correct(1 - (left <= ENOUGH), x, u0, u1, h, z, last, size, *inverses)
+        return z, size
 
     def applied(self, inverses: list[ca.MX], values: ca.MX) -> ca.MX:
         """The inverse of the whole matrix times ``values`` (n, s), by ``inverses`` of its blocks."""
