@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import casadi as ca
@@ -162,19 +162,25 @@ def kept(functions: Sequence[ca.Function]) -> bool:
     Raises NoMachineCode without a compiler, or a folder for what it makes.
     """
     flags, folder = (*FLAGS, *native(compiler())), _cache_folder()
-    return all(_intact(_place(_source(f), flags, folder)) for f in functions)
+    return all(_intact(_place(_digest(f), flags, folder)) for f in functions)
 
 
-def _place(source: str, flags: Sequence[str], folder: Path) -> Path:
-    """Where the library of a source is, or would be."""
-    key = "\0".join([source, *flags, processor()])
+@lru_cache(maxsize=32)
+def _digest(function: ca.Function) -> str:
+    """That of the C of a function, which is asked for again and again."""
+    return hashlib.sha256(_source(function).encode()).hexdigest()
+
+
+def _place(digest: str, flags: Sequence[str], folder: Path) -> Path:
+    """Where the library of a source with this ``digest`` is, or would be."""
+    key = "\0".join([digest, *flags, processor()])
     return folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
 
 
 def _library(source: str, compiler: str, folder: Path) -> Path:
     """Shared library of a source, from the cache where it is there and intact."""
     flags = (*FLAGS, *native(compiler))
-    path = _place(source, flags, folder)
+    path = _place(hashlib.sha256(source.encode()).hexdigest(), flags, folder)
     if not _intact(path):
         _build(source, [compiler, *flags], path)
     return path
