@@ -31,7 +31,7 @@ CONVERGED = 1e-3
 SMALL_DEFECT = 0.01
 #: Lengths of calls, in steps; each is built once. None is longer than what passed since a step that did not: the rest
 #: of a call is lost there.
-CALLS = (64, 16, 4, 1)
+CALLS = (16, 4, 1)
 #: A command bends sharply where it bends so many times as much as the median one.
 SHARP = 10.0
 #: How often a control interval is halved before IDAS takes it.
@@ -59,7 +59,7 @@ class _Taken:
 
 
 class FastStepper(Stepper):
-    """Motion of a scene in few large Radau steps, up to 64 of them in one CasADi call: for data, loops and predictions.
+    """Motion of a scene in few large Radau steps, up to 16 of them in one CasADi call: for data, loops and predictions.
 
     Every step starts from zero accelerations and takes three to six Newton corrections with one matrix. The last one
     and its defect, what the balance misses at the start of the step in terms of strains, say whether it is taken: the
@@ -199,7 +199,7 @@ class FastStepper(Stepper):
             return super()._as_far_as_possible(start, commands, energy)
         layout = self.scene.layout
         taken = self._last = _Taken()
-        x, before, passed, depth = start[layout.moving], start[layout.inputs], CALLS[1], 0
+        x, before, passed, depth = start[layout.moving], start[layout.inputs], CALLS[0], 0
         stops = _kinks(before, commands)
         while len(taken.rows) < len(commands) and not taken.message:
             k = len(taken.rows)
