@@ -13,11 +13,12 @@ from pisplit.models.arm.recording import labels, random_differential
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration import choose_calibration
-from pisplit.models.calibration.choice import compared, worth
+from pisplit.models.calibration.choice import compared, hopeless, worse, worth
 from pisplit.models.calibration.choosing import over_disks
 from pisplit.models.calibration.judging import HeldOut
 from pisplit.models.calibration.model import ParametrisedArm
-from pisplit.models.calibration.motion import Motion
+from pisplit.models.calibration.motion import Known, Motion
+from pisplit.models.calibration.problem import Problem
 from pisplit.models.calibration.windows import Windows, stretches
 
 DT, STATIONS = 0.03, 4
@@ -127,6 +128,22 @@ def test_steps_looked_for_nearby_are_the_same_and_so_are_their_derivatives(arm: 
     assert apart < 1e-3  # to first order
 
 
+def test_what_is_worse_is_not_looked_at_to_the_end(arm: TendonArm) -> None:
+    data, model = recorded(arm, Actuator(), 1, 8, 6), ParametrisedArm(arm, None, ("bending",))
+    seen = model.sight(STATIONS)
+    y = np.stack([data.xs[0][k : k + 4] for k in (0, 2, 4)])
+    logs = [data.us[0][k : k + 4] for k in (0, 2, 4)]
+    motion = Motion(model, seen, DT, y[..., seen.rows], logs, np.full(len(seen.rows), 1e-3), 0.0)
+    problem, first = Problem(model, motion, None), np.stack([seen.state(rows[0]) for rows in y])
+    here = problem.missed(model.first, first)
+    best = problem.linearised(model.first, here)
+    far = problem.missed(model.first + 0.5, first, best)
+    assert len(here.motions) == 3 and len(far.motions) < 3 and not far.better(here)
+    steps = {i: Known.of(near.found, near.of_steps) for i, near in best.nearby.items()}
+    again = problem.missed(model.first + 0.01, first, known=steps)
+    assert again.cost == pytest.approx(problem.missed(model.first + 0.01, first).cost, rel=1e-6)
+
+
 def test_a_lag_is_kept_where_it_is_and_a_load_is_not_where_it_is_not(arm: TendonArm) -> None:
     found = choose_calibration(
         arm,
@@ -154,6 +171,8 @@ def test_a_gain_has_to_be_more_than_its_spread() -> None:
     assert not worth(*compared(base / 1.02, base, 0.0))
     alone = compared(base[:1] / 1.9, base[:1], 0.0)  # one roll-out says little
     assert not worth(*alone) and worth(*compared(base[:1] / 2.1, base[:1], 0.0))
+    assert hopeless(*compared(base / 4.0, base, 0.0)) and not hopeless(*compared(base / 2.0, base, 0.0))
+    assert worse(*compared(1.1 * base, base, 0.0)) and not worse(*compared(base, base, 0.0))
     lost = base.copy()
     lost[3] = np.inf
     assert compared(lost, base, 0.0)[0] == -np.inf and compared(base, lost, 0.0)[0] == np.inf
@@ -174,9 +193,12 @@ def test_windows_join_spans_and_are_as_long_as_enough_of_them_are() -> None:
     everything = Windows.of(data, None, rest)
     assert everything.steps == 32 and len(everything) == 9
     assert len(Windows.of(data, None, rest, budget=256)) == 8
+    few = Windows.of(data, None, rest, 128, 16)
+    assert few.steps == 16 and len(few) == 8 and set(few.rows[:, 0].tolist()) == {0, 1, 2}
     with pytest.raises(ValueError, match="outside the recordings"):
         Windows.of(data, [(0, 90, 101)], rest)
     assert stretches(data, 40) == [(e, a, a + 40) for e in range(3) for a in (4, 44)]
+    assert stretches(data, 40, most=2) == [(0, 4, 44), (2, 44, 84)]
     assert stretches(data, 400) == [(e, 4, 100) for e in range(3)]
 
 

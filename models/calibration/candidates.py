@@ -14,9 +14,10 @@ from pisplit import Episodes
 from pisplit.data.actuator import Actuator
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.calibration.choice import TriedCalibration, compared, worth
+from pisplit.models.calibration.choice import TriedCalibration, compared, hopeless, worse, worth
 from pisplit.models.calibration.estimates import Estimate
 from pisplit.models.calibration.evidence import Evidence
+from pisplit.models.calibration.gauss_newton import Fitted
 from pisplit.models.calibration.judging import Ahead, HeldOut
 from pisplit.models.calibration.model import Calibration, CalibrationError, ParametrisedArm
 from pisplit.models.calibration.parameters import TendonParameters
@@ -46,7 +47,8 @@ class Candidates:
     Attributes:
         recordings: what windows are cut from.
         held_out: what roll-outs are compared with.
-        windows: what is learned from.
+        windows: what candidates are compared by.
+        whole: what the chosen one is fitted to at last; the same where data are few.
         shapes: shapes at rest beside them.
         errors: of positions in m, of entries of frames, of rates in parts of their spread.
         start: what is told of the tendons, the first guess.
@@ -64,6 +66,7 @@ class Candidates:
     recordings: Episodes
     held_out: Episodes
     windows: Windows
+    whole: Windows
     shapes: RestShapes | None
     errors: tuple[float, float, float]
     start: TendonParameters
@@ -80,13 +83,18 @@ class Candidates:
     def __post_init__(self) -> None:
         self.stations = self.windows.fields.shape[2] // N_FIELDS
         self.held = HeldOut(self.held_out, stretches(self.held_out, self.ahead))
-        shapes, windows = self.shapes, self.windows
-        rest = None if shapes is None else (shapes.inputs, shapes.fields)
-        logs, dt = list(windows.logs), self.recordings.dt
-        self.evidence = Evidence(windows.fields, logs, dt, *self.errors, self.stations, rest, self.late)
+        self.evidence = self.evidence_of(self.windows)
         self.models: dict[int, ParametrisedArm] = {}
+        self.ends: dict[int, Fitted] = {}
         points = 3 * (self.stations - 1)
         self.floor = points * (EQUAL * self.errors[0]) ** 2
+
+    def evidence_of(self, windows: Windows) -> Evidence:
+        """The ``windows``, and shapes at rest beside them."""
+        shapes = self.shapes
+        rest = None if shapes is None else (shapes.inputs, shapes.fields)
+        logs, dt = list(windows.logs), self.recordings.dt
+        return Evidence(windows.fields, logs, dt, *self.errors, self.stations, rest, self.late)
 
     def best_form(self, forms: Sequence[TendonArm]) -> int:
         """Number of the best candidate with none or all of the groups, of any of the ``forms``.
@@ -108,20 +116,37 @@ class Candidates:
 
     def finished(self, best: int) -> int:
         """The rough candidate ``best``, fitted to the end in its place."""
-        if self.tried[best].calibration is not None:
-            self.fitted(self.arms[best], self.optional(best), best, False)
-            done = self.tried.pop()
-            self.arms.pop()
-            self.ahead_of[best] = self.ahead_of.pop(len(self.tried), self.ahead_of[best])
-            before = self.tried[best]
-            gain, spread = (
-                (np.nan, np.nan)
-                if before.other < 0
-                else compared(done.errors, self.tried[before.other].errors, self.floor)
-            )
-            self.tried[best] = replace(
-                done, gain=gain, spread=spread, other=before.other, seconds=done.seconds + before.seconds
-            )
+        done_already = best in self.ends and self.ends[best].settled
+        if self.tried[best].calibration is not None and not done_already:
+            done = self.fitted(self.arms[best], self.optional(best), best, False)
+            self.replaced(best, done)
+        return best
+
+    def replaced(self, number: int, done: int) -> None:
+        """Candidate ``done``, the last one, takes the place of the one of this ``number``."""
+        assert done == len(self.tried) - 1
+        before, new = self.tried[number], self.tried.pop()
+        self.arms.pop()
+        self.ahead_of[number] = self.ahead_of.pop(done, self.ahead_of[number])
+        if done in self.ends:
+            self.ends[number] = self.ends.pop(done)
+        gain = spread = np.nan
+        if before.other >= 0:
+            gain, spread = compared(new.errors, self.tried[before.other].errors, self.floor)
+        told = replace(new, gain=gain, spread=spread, other=before.other, seconds=new.seconds + before.seconds)
+        self.tried[number] = told
+
+    def completed(self, best: int) -> int:
+        """The candidate ``best``, fitted to all that may be learned from, in its place if that is better."""
+        if len(self.whole) * self.whole.steps > len(self.windows) * self.windows.steps:
+            self.evidence = self.evidence_of(self.whole)
+            self.ends.clear()
+            done = self.fitted(self.arms[best], self.optional(best), best, False)
+            if worse(*self.gain(done, best)):
+                self.tried.pop()
+                self.arms.pop()
+            else:
+                self.replaced(best, done)
         return best
 
     def grown(self, arm: TendonArm, best: int) -> int:
@@ -139,8 +164,10 @@ class Candidates:
             weak = [g for g in kept if size[g] < SIGNIFICANT]
             least = min(kept, key=lambda g: size[g])
             for out in ([weak] if len(weak) > 1 else []) + [[least]]:
-                less = self.fitted(self.arms[best], [g for g in kept if g not in out], best, False)
-                if not worth(*self.gain(best, less)):
+                less = self.fitted(self.arms[best], [g for g in kept if g not in out], best)
+                if hopeless(*self.gain(best, less)):
+                    continue
+                if not worth(*self.gain(best, self.finished(less))):
                     break
             else:
                 return best
@@ -173,8 +200,9 @@ class Candidates:
         before = () if origin < 0 else self.optional(origin)
         first, servo = self.guess(first, servo, tuple(extra), before)
         model = self.model(arm, first, (*ALWAYS, *extra), servo)
-        restart = found is not None and self.arms[origin] is arm and set(extra) <= set(before)
-        calibration, note = self.calibrated(model, restart, rough)
+        same = found is not None and self.arms[origin] is arm
+        restart = same and set(extra) <= set(before)
+        calibration, note = self.calibrated(model, restart, rough, self.ends.get(origin) if same else None)
         errors = np.full(len(self.held.parts), np.inf)
         if calibration is not None:
             ahead = self.held.rollouts(model, calibration, self.ahead_of.get(origin) if restart else None)
@@ -231,17 +259,21 @@ class Candidates:
             first = replace(first, shift=start.shift)
         return first, servo
 
-    def calibrated(self, model: ParametrisedArm, restart: bool, rough: bool) -> tuple[Calibration | None, str]:
-        """The fit of a ``model`` and what went wrong with it; ``restart`` and ``rough`` as ``Evidence`` takes them."""
+    def calibrated(
+        self, model: ParametrisedArm, restart: bool, rough: bool, near: Fitted | None
+    ) -> tuple[Calibration | None, str]:
+        """The fit of a ``model`` and what went wrong with it; ``restart``, ``rough`` and ``near`` as ``Evidence`` takes
+        them."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of motions under parameters that are given up again
             try:
-                found = self.evidence.calibrated(model, restart, rough)
+                found = self.evidence.fit(model, rough, restart, near)
+                self.ends[len(self.tried)] = found
+                return self.evidence.told(model, found), ""
             except CalibrationError as error:
                 return error.calibration, str(error)
             except (RuntimeError, np.linalg.LinAlgError) as error:
                 return None, str(error)
-        return found, ""
 
 
 def _away(estimates: Sequence[Estimate], group: str, start: TendonParameters, told: Actuator) -> float:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 #: What the richer of two candidates has to be better by at least, in parts of the error.
 MARGIN = 0.05
+#: Times the error of the other that is out of reach of a fit to the last digit, after a rough one.
+BEHIND = 3.0
 #: Probability that a normal variable is less than one standard deviation above its mean.
 ONE_SIGMA = 0.8413
 
@@ -84,6 +86,16 @@ def compared(this: Array, other: Array, floor: float) -> tuple[float, float]:
     n = len(ratios)
     spread = float(student.ppf(ONE_SIGMA, n - 1) * ratios.std(ddof=1) / np.sqrt(n)) if n > 1 else float(np.log(2.0))
     return float(ratios.mean()), spread
+
+
+def hopeless(gain: float, spread: float) -> bool:
+    """Whether the other of two is so far behind, by this ``gain`` and its ``spread``, that no better fit saves it."""
+    return gain > max(3.0 * spread, np.log(BEHIND))
+
+
+def worse(gain: float, spread: float) -> bool:
+    """Whether what has this mean ``gain`` is worse than the other by more than the ``spread``."""
+    return gain < -spread
 
 
 def worth(gain: float, spread: float) -> bool:

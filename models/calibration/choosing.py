@@ -19,7 +19,7 @@ from pisplit.models.calibration.candidates import LATE, OPTIONAL, PLAY, Candidat
 from pisplit.models.calibration.choice import CalibrationChoice
 from pisplit.models.calibration.model import nominal_parameters
 from pisplit.models.calibration.parameters import TendonParameters
-from pisplit.models.calibration.windows import Windows
+from pisplit.models.calibration.windows import FEW, SHORT, Windows
 from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
 
 #: Steps of held-out roll-outs.
@@ -103,6 +103,7 @@ def choose_calibration(
     fits = Candidates(
         recordings,
         held_out,
+        Windows.of(recordings, spans, arm.rest_inputs, FEW, SHORT),
         Windows.of(recordings, spans, arm.rest_inputs),
         shapes,
         (errors[0], errors[1], positive(rate_error, "rate_error")),
@@ -115,7 +116,7 @@ def choose_calibration(
         tqdm(desc="calibrations", unit="fit", disable=not progress),
     )
     best = fits.best_form(forms)
-    best = fits.pruned(best)
+    best = fits.completed(fits.pruned(best))
     fits.bar.close()
     chosen = fits.tried[best]
     if chosen.calibration is None or not np.isfinite(chosen.errors).any():
@@ -127,7 +128,7 @@ def choose_calibration(
         best,
         recordings.dt,
         fits.stations,
-        (len(fits.windows), fits.windows.steps),
+        (len(fits.whole), fits.whole.steps),
         (len(fits.held.parts), fits.ahead),
         fits.doubts(best),
     )

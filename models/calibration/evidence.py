@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array
 from pisplit.models.arm.energy_prior import moving_energy
 from pisplit.models.arm.marker_sight import MarkerSight
-from pisplit.models.calibration.gauss_newton import DIGITS, STEPS, approached, fitted
+from pisplit.models.calibration.gauss_newton import DIGITS, STEPS, Fitted, approached, fitted
 from pisplit.models.calibration.model import Calibration, ParametrisedArm
 from pisplit.models.calibration.motion import Motion
 from pisplit.models.calibration.problem import Problem
@@ -18,8 +18,8 @@ from pisplit.models.calibration.resting_shapes import RestingShapes
 
 #: Relative change, and number of steps, that end the fit to shapes at rest where that to recordings starts.
 SHAPES_DIGITS, SHAPES_STEPS = 1e-3, 20
-#: What ends a fit that only has to say whether it is worth another one: see ``fitted``.
-ROUGH = (5e-2, 1e-2)
+#: What ends a fit that only has to say whether it is worth another one: see ``fitted``; and the most steps of it.
+ROUGH, ROUGH_STEPS = (5e-2, 1e-2), 10
 #: Root mean square of misses in standard deviations beyond which the form of the arm, or its sensors, are not as told.
 ASTRAY = 1.5
 #: Part of its spread before up to which a tilt or twist of the tip counts as seen.
@@ -52,16 +52,22 @@ class Evidence:
     equilibria: tuple[ArrayLike, ArrayLike] | None
     input_error: float
 
-    def calibrated(self, model: ParametrisedArm, restart: bool = False, rough: bool = False) -> Calibration:
-        """The ``model`` fitted to it.
+    def calibrated(self, model: ParametrisedArm, rough: bool = False) -> Calibration:
+        """The ``model`` fitted to it; see ``fit`` and ``told``."""
+        return self.told(model, self.fit(model, rough))
+
+    def fit(
+        self, model: ParametrisedArm, rough: bool = False, restart: bool = False, near: Fitted | None = None
+    ) -> Fitted:
+        """Where the fit of the ``model`` ends.
 
         Args:
             model: the arm with its free parameters.
-            restart: whether it starts from a calibrated arm, which shapes at rest would only lead astray.
             rough: whether to be content with parameters good to a twentieth.
+            restart: whether it starts from a calibrated arm, which shapes at rest would only lead astray.
+            near: the fit of a similar model to this evidence: initial states and steps are looked for from there.
 
-        Raises RuntimeError where no recording can be simulated, and ``CalibrationError``, which is one, where the fit
-        does not end or recordings could not be simulated.
+        Raises RuntimeError where no recording can be simulated.
         """
         rest, x = None, model.first
         if self.equilibria is not None:
@@ -75,14 +81,26 @@ class Evidence:
         problem = Problem(model, motion, rest)
         if model.capture is not None:
             x, first = approached(problem, x, first)
-        found = fitted(problem, x, first, STEPS, ROUGH if rough else DIGITS)
+        if near is not None:
+            first = near.first
+        known = None if near is None else near.known
+        if not rough:
+            return fitted(problem, x, first, STEPS, DIGITS, known)
+        found = fitted(problem, x, first, ROUGH_STEPS, ROUGH, known)
+        return replace(found, why="") if found.unended else found
+
+    def told(self, model: ParametrisedArm, found: Fitted) -> Calibration:
+        """What the fit of the ``model`` has ``found``.
+
+        Raises ``CalibrationError`` where it did not end or recordings could not be simulated.
+        """
         residual = float(np.sqrt(found.best.misses / max(found.best.entries, 1.0)))
         why, notes, total = found.why, [], len(self.measured)
         if not why and found.best.used < total:
             why = f"{total - found.best.used} of {total} recordings could not be simulated"
         if model.capture is not None:
             triangles = {i: back.triangle for i, back in found.best.backs.items()}
-            for name, left in zip(("tilt", "twist"), motion.unseen(triangles), strict=True):
+            for name, left in zip(("tilt", "twist"), found.motion.unseen(triangles), strict=True):
                 if left > SEEN:
                     notes.append(
                         f"{name} of the tip: not seen by these markers ({100 * left:.0f} % of its spread is left)"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from pisplit.checks import Array
+from pisplit.models.calibration.motion import Known, Motion
 from pisplit.models.calibration.problem import Local, Problem
 
 #: Gauss-Newton ends when no free parameter, of order one, changes by more, or the sum of squares falls by a smaller
@@ -39,13 +41,29 @@ class Fitted:
         x: parameters (P,).
         first: initial states (N, n).
         best: the problem there.
+        motion: the recordings that were simulated.
         why: it is not to be relied on, empty if it is.
+        left: how long a whole step would be from there, in standard errors, root mean square over the parameters.
+        unended: whether all steps were taken and it had not come to an end.
     """
 
     x: Array
     first: Array
     best: Local
+    motion: Motion
     why: str
+    left: float = np.inf
+    unended: bool = False
+
+    @property
+    def settled(self) -> bool:
+        """Whether what is left to do is below what data tell."""
+        return not self.why and self.left < SETTLED
+
+    @property
+    def known(self) -> dict[int, Known]:
+        """Steps of each recording, for a fit of similar parameters to start from."""
+        return {i: Known.of(near.found, near.of_steps) for i, near in self.best.nearby.items()}
 
 
 def approached(problem: Problem, x: Array, first: Array) -> tuple[Array, Array]:
@@ -73,7 +91,12 @@ def approached(problem: Problem, x: Array, first: Array) -> tuple[Array, Array]:
 
 
 def fitted(
-    problem: Problem, x: Array, first: Array, steps: int = STEPS, digits: tuple[float, float] = DIGITS
+    problem: Problem,
+    x: Array,
+    first: Array,
+    steps: int = STEPS,
+    digits: tuple[float, float] = DIGITS,
+    known: Mapping[int, Known] | None = None,
 ) -> Fitted:
     """Damped Gauss-Newton steps to the end.
 
@@ -84,10 +107,11 @@ def fitted(
         steps: most of them.
         digits: it ends where no free parameter, of order one, changes by more than the first, or the sum of squares
             falls by less than the second part of it.
+        known: steps of each recording under other parameters, from which the first ones are looked for.
 
     Raises RuntimeError where no recording can be simulated.
     """
-    here = problem.missed(x, first)
+    here = problem.missed(x, first, known=known)
     if problem.rest is not None and not np.array_equal(x, problem.model.first):
         tried = problem.missed(problem.model.first, first)
         if not here.better(tried):  # shapes at rest alone may leave an arm that cannot be moved
@@ -111,15 +135,20 @@ def fitted(
             best = problem.linearised(x, here)
             weight *= EASED if states_shown else QUICKLY
             if done or (not states_shown and problem.standard_errors_left(x, best) < NEAR):
-                return Fitted(x, first, best, "")
+                return Fitted(x, first, best, problem.motion, "", problem.standard_errors_left(x, best))
         else:
             if states_shown and weight == 0.0 and problem.standard_errors_left(x, best) < NEAR:
-                return Fitted(x, first, best, "")  # what the whole step changes is below what data tell
-            weight = max(STIFFENED * weight, 1e-3)
+                return Fitted(x, first, best, problem.motion, "")  # what the whole step changes is below what data tell
+            lost = tried.lost > here.lost
+            weight = max((STIFFENED**2 if lost else STIFFENED) * weight, 1e-3)
             # uphill however short the step: the end, where what is left to do is below what data tell
-            if small and (states_shown or weight > STOPPED or -fell < LEVEL):
+            if states_shown and weight > HELD_BACK:
                 left = problem.standard_errors_left(x, best)
-                uphill = f"the sum of squares {here.cost:.3g} rises by {-fell:.2g} however short the step"
+                if left < SETTLED:
+                    return Fitted(x, first, best, problem.motion, "", left)
+            if small and not lost and (states_shown or weight > STOPPED or -fell < LEVEL):
+                left = problem.standard_errors_left(x, best)
+                uphill = f"the sum of squares {here.cost:.3g} rises by {-fell:.2g} or more however short the step"
                 why = f"{uphill}, and a whole step would be {left:.2g} standard errors long"
-                return Fitted(x, first, best, why if left > SETTLED else "")
-    return Fitted(x, first, best, f"no end after {steps} steps")
+                return Fitted(x, first, best, problem.motion, why if left > SETTLED else "")
+    return Fitted(x, first, best, problem.motion, f"no end after {steps} steps", unended=True)

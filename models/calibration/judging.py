@@ -11,7 +11,7 @@ from pisplit import Episodes
 from pisplit.checks import Array
 from pisplit.models.arm.sight import WEAK_CURVATURE
 from pisplit.models.calibration.model import Calibration, ParametrisedArm
-from pisplit.models.calibration.motion import SLOW, STAGES, STEP, TOLERANCE
+from pisplit.models.calibration.motion import HALVINGS, SLOW, STAGES, STEP, TOLERANCE
 from pisplit.models.calibration.parametrised import PARAMETERS
 from pisplit.models.rod.analysis.fields import N_FIELDS
 from pisplit.models.rod.dynamics.march import Hint, March
@@ -67,7 +67,7 @@ class HeldOut:
             w = np.tile(w0, (len(moved), 1))
             w[:, model.slots["moves"][:m]] = moved
             state = seen.state(x[first] if noise is None else x[first] + noise[k])
-            march, rows, steps = March(stepper.collocation, TOLERANCE, SLOW), [], []
+            march, rows, steps = March(stepper.collocation, TOLERANCE, SLOW, HALVINGS), [], []
             known = like.hints.get(k, []) if like is not None else []
             try:
                 for i in range(first, last):

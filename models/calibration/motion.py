@@ -27,6 +27,8 @@ FINE_STEP, FINE_STAGES = 0.02, 3
 TOLERANCE = 1e-8
 #: Contraction of the iterations of a step beyond which a new matrix is cheaper.
 SLOW = 0.5
+#: How often a step is halved before the motion counts as failed: parameters under which it takes more are given up.
+HALVINGS = 6
 #: Change of lag and play, in their typical sizes, by which commands are differentiated.
 NUDGE = 1e-3
 
@@ -73,6 +75,27 @@ class Nearby:
             ]
             for pieces, slopes in zip(self.found.intervals, self.of_steps, strict=True)
         ]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Steps of a recording under other parameters, ``steps`` by instants: where those nearby are looked for first."""
+
+    steps: list[list[Hint]]
+
+    @classmethod
+    def of(cls, found: Simulated, of_steps: Sequence[Sequence[tuple[Array, Array]]]) -> Known:
+        """Those of a recording as it was ``found``, with the inverse matrices ``of_steps``."""
+        return cls(
+            [
+                [Hint(piece.z, piece.h, inverse) for piece, (_, inverse) in zip(pieces, slopes, strict=True)]
+                for pieces, slopes in zip(found.intervals, of_steps, strict=True)
+            ]
+        )
+
+    def hints(self, point: Array) -> list[list[Hint]]:
+        """The same wherever the ``point`` is."""
+        return self.steps
 
 
 class Motion:
@@ -210,7 +233,7 @@ class Motion:
             slopes[..., k] = (model.actuator(ahead).simulate(log, self.dt)[0][-kept:] - found) / NUDGE
         return found, slopes
 
-    def simulated(self, x: Array, first: Array, i: int, near: Nearby | None = None) -> Simulated | None:
+    def simulated(self, x: Array, first: Array, i: int, near: Nearby | Known | None = None) -> Simulated | None:
         """Recording ``i`` from its initial state and offsets of the displacements, ``first`` (2n + offsets,), under
         free parameters ``x`` (P,), looked for from one ``near``; None where the motion fails."""
         model, n = self.model, 2 * self.model.scene.n_strains
@@ -227,7 +250,7 @@ class Motion:
             state[: n // 2] += strains
             rest = [self.roots[i] @ first[:n]]
         hints = None if near is None else near.hints(np.concatenate([first, x]))
-        march, intervals, seen = March(self.stepper.collocation, TOLERANCE, SLOW), [], []
+        march, intervals, seen = March(self.stepper.collocation, TOLERANCE, SLOW, HALVINGS), [], []
         for k, y in enumerate(self.measured[i]):
             if k:
                 try:

@@ -10,13 +10,15 @@ import numpy as np
 
 from pisplit.checks import Array
 from pisplit.models.calibration.model import ParametrisedArm
-from pisplit.models.calibration.motion import Motion, Nearby, Simulated
+from pisplit.models.calibration.motion import Known, Motion, Nearby, Simulated
 from pisplit.models.calibration.resting_shapes import RestingShapes
 
 #: Smallest slope of misses in an initial state, in parts of the largest: what no sensor sees stays as it is.
 UNSEEN = 1e-7
 #: Largest change of a parameter in one step.
 TRUSTED = 0.7
+#: Rise of the sum of squares beyond which it does not matter how much it rises.
+ENOUGH = 10.0
 #: Weight by which states are held back, in parts of their energy, beside that of the parameters.
 STATES = 1e3
 
@@ -60,11 +62,13 @@ class Missed:
         prior: distance (P,) of the parameters from the first guess, in standard deviations.
         rest: misses of shapes at rest; empty without.
         motions: each recording that could be simulated.
+        lost: number of those that could not.
     """
 
     prior: Array
     rest: Array
     motions: Mapping[int, Simulated]
+    lost: int
 
     @cached_property
     def cost(self) -> float:
@@ -74,8 +78,7 @@ class Missed:
 
     def better(self, other: Missed) -> bool:
         """Whether it is no worse than the ``other``, and no recording was lost."""
-        used, before = len(self.motions), len(other.motions)
-        return used > before or (used == before and self.cost <= other.cost)
+        return self.lost < other.lost or (self.lost == other.lost and self.cost <= other.cost)
 
 
 @dataclass(frozen=True)
@@ -163,13 +166,34 @@ class Problem:
         step, misfit = self.change(x, local, 0.0), max(1.0, local.misses / local.entries)
         return float(np.sqrt(max(float(step @ local.normal @ step), 0.0) / (misfit * len(x))))
 
-    def missed(self, x: Array, first: Array, near: Local | None = None) -> Missed:
-        """What is missed by parameters ``x`` (P,) and initial states ``first`` (N, 2n), looked for from a point
-        ``near``."""
-        known = {} if near is None else near.nearby
-        found = {i: self.motion.simulated(x, start, i, known.get(i)) for i, start in enumerate(first)}
+    def missed(
+        self, x: Array, first: Array, near: Local | None = None, known: Mapping[int, Known] | None = None
+    ) -> Missed:
+        """What is missed by parameters ``x`` (P,) and initial states ``first`` (N, 2n).
+
+        It is looked for from a point ``near``, or from steps that are ``known``. What is worse than the point ``near``
+        is not looked at to the end: recordings are simulated until one more is lost than there, or until the sum of
+        squares is larger.
+        """
+        steps: Mapping[int, Nearby | Known] = (known or {}) if near is None else near.nearby
         rest = np.zeros(0) if self.rest is None else self.rest.misses(x)
-        return Missed(self.model.prior(x), rest, {i: moved for i, moved in found.items() if moved is not None})
+        found = Missed(self.model.prior(x), rest, {}, 0)
+        allowed, limit = len(first), np.inf
+        if near is not None:
+            allowed = near.missed.lost
+            limit = near.missed.cost + ENOUGH if allowed == 0 else np.inf
+        motions: dict[int, Simulated] = {}
+        lost, cost = 0, found.cost
+        for i, start in enumerate(first):
+            moved = self.motion.simulated(x, start, i, steps.get(i))
+            if moved is None:
+                lost += 1
+            else:
+                motions[i] = moved
+                cost += float(moved.misses @ moved.misses)
+            if lost > allowed or cost > limit:
+                break
+        return replace(found, motions=motions, lost=lost)
 
     def linearised(self, x: Array, missed: Missed) -> Local:
         """The problem about parameters ``x`` (P,), and initial states, by which so much is ``missed``."""

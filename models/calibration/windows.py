@@ -16,6 +16,10 @@ from pisplit.checks import Array, count, finite_array
 LENGTHS, ENOUGH = (64, 32, 16, 8, 5), 8
 #: Steps of all windows together; more of them say little that is new.
 BUDGET = 640
+#: The same, and steps of the longest window, of those by which forms and groups are compared.
+FEW, SHORT = 128, 16
+#: Most held-out stretches.
+MOST = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,14 @@ class Windows:
         return len(self.fields)
 
     @classmethod
-    def of(cls, recordings: Episodes, spans: ArrayLike | None, before: Array, budget: int = BUDGET) -> Windows:
+    def of(
+        cls,
+        recordings: Episodes,
+        spans: ArrayLike | None,
+        before: Array,
+        budget: int = BUDGET,
+        longest: int = LENGTHS[0],
+    ) -> Windows:
         """Windows of equal length from the recorded spans: the longest of which there are eight, spread evenly.
 
         Args:
@@ -50,6 +61,7 @@ class Windows:
                 All of every recording if not given.
             before: commands (m,) at rest, before each recording.
             budget: most steps of all windows together.
+            longest: steps that no window is longer than.
 
         Raises ValueError for spans outside the recordings.
         """
@@ -57,7 +69,8 @@ class Windows:
         found = [(e, a, b) for e, parts in joined.items() for a, b in parts if b > a]
         if not found:
             raise ValueError("spans hold no step; give the first and the last of two or more instants each")
-        lengths = [n for n in LENGTHS if any(b - a >= n for _, a, b in found)] or [max(b - a for _, a, b in found)]
+        allowed = [n for n in LENGTHS if n <= longest]
+        lengths = [n for n in allowed if any(b - a >= n for _, a, b in found)] or [max(b - a for _, a, b in found)]
         for length in lengths:  # the shortest where no length gives enough of them
             rows = [(e, a + k * length) for e, a, b in found for k in range((b - a) // length)]
             if len(rows) >= ENOUGH:
@@ -70,17 +83,18 @@ class Windows:
         return cls(fields, logs, np.array(rows, dtype=np.int64))
 
 
-def stretches(recordings: Episodes, steps: int, first: int = 4) -> list[tuple[int, int, int]]:
+def stretches(recordings: Episodes, steps: int, first: int = 4, most: int = MOST) -> list[tuple[int, int, int]]:
     """Recording, first and last step of what roll-outs of so many ``steps`` are compared with.
 
-    Each recording of ``recordings`` is cut from its step ``first`` on; one that is shorter gives what it has.
+    Each recording of ``recordings`` is cut from its step ``first`` on; one that is shorter gives what it has. Where
+    they make more than ``most`` stretches, these are spread evenly over them.
     """
     found = []
     for e, u in enumerate(recordings.us):
         begin = min(first, len(u) - 1)
         whole = max(1, (len(u) - begin) // count(steps, "steps"))
         found += [(e, begin + k * steps, min(begin + (k + 1) * steps, len(u))) for k in range(whole)]
-    return found
+    return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(most, len(found))).astype(int))]
 
 
 def _joined(recordings: Episodes, spans: ArrayLike | None) -> dict[int, list[tuple[int, int]]]:

@@ -114,8 +114,8 @@ class Collocation(Rebuilt):
     @cached_property
     def derivatives(self) -> ca.Function:
         """``(xi, xi_t, xi_tt, u) -> `` exact derivatives of the scaled residual with respect to each, at all stages."""
-        xi, xi_t, xi_tt, u, balance = self.equations.dynamic_balance
-        symbols, scale = [xi, xi_t, xi_tt, u], ca.diag(1.0 / ca.DM(self.equations.nominal_residual))
+        *symbols, balance = self.equations.dynamic_balance
+        scale = ca.diag(1.0 / ca.DM(self.equations.nominal_residual))
         blocks = [scale @ block for block in slopes(balance, symbols)]
         exact = ca.Function("derivatives", symbols, [ca.densify(block) for block in blocks])
         return exact.map(self.stages)

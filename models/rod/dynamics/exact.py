@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -22,9 +23,25 @@ class ExactCollocation(Collocation):
     @cached_property
     def residual(self) -> ca.Function:
         """``(xi, xi_t, xi_tt, u) -> residual`` in parts of ``nominal_residual``, without its Jacobian."""
+        return ca.Function("residual", *self._scaled)
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """As in ``Collocation``; common subexpressions of the residual are differentiated once.
+
+        Those of chords between disks are a third of it, and nearly half of the time of its derivatives.
+        """
+        if self.equations.dynamic_balance[-1].reaction is not None:
+            return super().derivatives
+        symbols, (scaled,) = self._scaled
+        blocks = [ca.densify(block) for block in together(scaled, symbols)]
+        return ca.Function("derivatives", symbols, blocks).map(self.stages)
+
+    @cached_property
+    def _scaled(self) -> tuple[list[ca.SX], list[ca.SX]]:
+        """Symbols (xi, xi_t, xi_tt, u) and the scaled residual."""
         *symbols, balance = self.equations.dynamic_balance
-        scaled = balance.residual / ca.DM(self.equations.nominal_residual)
-        return ca.Function("residual", symbols, [scaled])
+        return symbols, [ca.cse(balance.residual / ca.DM(self.equations.nominal_residual))]
 
     def slopes(self, x: Array, z: Array, u: tuple[Array, Array], h: float) -> tuple[list[list[Array]], Array]:
         """Derivatives of the residual at the stages and the inverse (s n, s n) of the matrix they make.
@@ -58,3 +75,9 @@ class ExactCollocation(Collocation):
             found = np.asarray(after, dtype=np.float64)
             sizes.append(float(size))
         return found, sizes[-2], sizes[-1], inverse
+
+
+def together(residual: ca.SX, symbols: Sequence[ca.SX]) -> list[ca.SX]:
+    """Derivatives of a ``residual`` with respect to ``symbols``, in one sweep: they share up to half of the work."""
+    whole = ca.jacobian(residual, ca.vertcat(*map(ca.vec, symbols)))
+    return list(ca.horzsplit(whole, np.cumsum([0, *(symbol.numel() for symbol in symbols)]).tolist()))

@@ -66,12 +66,13 @@ class March:
         scheme: functions of a step.
         tolerance: of the strains in parts of their nominal size, below which the last Newton correction must be.
         slow: contraction of the iteration beyond which its matrix is formed anew.
+        halvings: how often a step may be halved.
 
     ``iterations`` counts those of Newton's method.
     """
 
-    def __init__(self, scheme: Collocation, tolerance: float, slow: float = SLOW) -> None:
-        self.scheme, self.tolerance, self.slow = scheme, tolerance, slow
+    def __init__(self, scheme: Collocation, tolerance: float, slow: float = SLOW, halvings: int = MAX_HALVINGS) -> None:
+        self.scheme, self.tolerance, self.slow, self.halvings = scheme, tolerance, slow, halvings
         self.iterations = 0
         self._guess: Array | None = None
         self._matrix: tuple[float, ca.DM | Array] | None = None
@@ -129,7 +130,7 @@ class March:
             if z is not None and self._matrix is not None:
                 self._guess = z @ self.scheme.onwards
                 return [Piece(x, z, u, h, self.scheme.end(x, z, h), self._matrix[1])]
-        if depth == MAX_HALVINGS:
+        if depth == self.halvings:
             raise RuntimeError(f"Newton's method does not converge in steps of {h:.1e} s")
         self._guess = None
         middle = 0.5 * (u[0] + u[1])
