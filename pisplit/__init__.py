@@ -38,6 +38,8 @@ if _TYPE_CHECKING:
     from pisplit.evaluation.comparison import LearningCurve as LearningCurve
     from pisplit.evaluation.comparison import compare as compare
     from pisplit.evaluation.comparison import learning_curve as learning_curve
+    from pisplit.evaluation.eigenpairs import ModelSpectrum as ModelSpectrum
+    from pisplit.evaluation.eigenpairs import model_spectrum as model_spectrum
     from pisplit.evaluation.horizon import HorizonErrors as HorizonErrors
     from pisplit.evaluation.horizon import horizon_errors as horizon_errors
     from pisplit.evaluation.predicted import PredictedError as PredictedError
@@ -89,6 +91,7 @@ _PLACES = {
     "pisplit.estimators.twin": "TwinEDMDc",
     "pisplit.evaluation.comparison": "Comparison LearningCurve compare learning_curve",
     "pisplit.evaluation.horizon": "HorizonErrors horizon_errors",
+    "pisplit.evaluation.eigenpairs": "ModelSpectrum model_spectrum",
     "pisplit.evaluation.predicted": "PredictedError predicted_error",
     "pisplit.evaluation.rollouts": "RolloutErrors rollout_errors",
     "pisplit.front": "ArmIdentifier Identified identify",
@@ -152,6 +155,7 @@ __all__ = [
     "identify",
     "input_jacobian",
     "learning_curve",
+    "model_spectrum",
     "modes",
     "observables",
     "predicted_error",

@@ -192,6 +192,7 @@ class Made:
             "LiftedModel": self.model.lifted,
             "Modes": ps.modes(self.model.lifted),
             "Reduction": ps.balanced_truncation(self.model.lifted, 6),
+            "ModelSpectrum": ps.model_spectrum(self.model, test),
             "Spectrum": ps.generator_spectrum(self.theta, self.samples, np.ones(self.theta.n_columns)),
             "HalfStep": ps.half_step(self.theta, self.samples, 0.05, np.ones(self.theta.n_columns)),
             "FoundActuator": ps.find_actuator(d1[:2], [0.0, 0.05], [0.0]),

@@ -4,6 +4,7 @@ Errors are those of open-loop roll-outs on recordings the model has not seen.
 """
 
 from pisplit.evaluation.comparison import Comparison, LearningCurve, compare, learning_curve
+from pisplit.evaluation.eigenpairs import ModelSpectrum, model_spectrum
 from pisplit.evaluation.horizon import HorizonErrors, horizon_errors
 from pisplit.evaluation.predicted import PredictedError, predicted_error
 from pisplit.evaluation.rollouts import RolloutErrors, rollout_errors
@@ -15,12 +16,14 @@ __all__ = [
     "EpisodeSplit",
     "HorizonErrors",
     "LearningCurve",
+    "ModelSpectrum",
     "PredictedError",
     "RolloutErrors",
     "RolloutScore",
     "compare",
     "horizon_errors",
     "learning_curve",
+    "model_spectrum",
     "predicted_error",
     "rollout_errors",
 ]

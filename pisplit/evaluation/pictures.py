@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pisplit.evaluation.comparison import Comparison, LearningCurve
+    from pisplit.evaluation.eigenpairs import ModelSpectrum
     from pisplit.evaluation.horizon import HorizonErrors
     from pisplit.evaluation.predicted import PredictedError
     from pisplit.evaluation.rollouts import RolloutErrors
@@ -150,3 +151,26 @@ def _finite(values: Array) -> tuple[Any, Any]:
 def _shown(values: Iterable[float]) -> Array:
     found = np.array(list(values), dtype=np.float64)
     return np.where(np.isfinite(found), found, np.nan)
+
+
+def plot_model_spectrum(found: ModelSpectrum, path: Path) -> Figure:
+    """Eigenvalues of ``found`` in the unit circle by their residuals: light ones are of the dictionary or of noise.
+
+    Written to ``path`` where one is given.
+    """
+    figure = new_figure(6.4, 5.0)
+    axis: Any = figure.subplots()
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    axis.plot(np.cos(angle), np.sin(angle), color="k", lw=0.8)
+    order = np.argsort(-found.residuals)
+    values, residuals = found.eigenvalues[order], np.clip(found.residuals[order], 1e-6, 1.0)
+    drawn = axis.scatter(
+        values.real, values.imag, c=np.log10(residuals), cmap="viridis", vmin=-6.0, vmax=0.0, s=26, lw=0
+    )
+    figure.colorbar(drawn, ax=axis, label="log10 of the residual (low: an eigenfunction)")
+    bad = int(found.spurious().sum())
+    title = f"eigenvalues of the model: {bad} of {len(values)} spurious on {found.pairs} pairs"
+    axis.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
+    axis.set_title(title, fontsize=10)
+    tidy(axis)
+    return keep(figure, path)

@@ -166,6 +166,14 @@ arm = found.arm  # then its damping: pisplit.models.calibration.calibrate_from_r
 """
 
 
+CHOOSE = """from pisplit.models.calibration import choose_calibration
+
+drawn = arm
+found = choose_calibration(drawn, d1, shapes, disks={disks!r})
+arm = found.arm  # behind the servos found.actuator; found.predictor() rolls it out
+"""
+
+
 def by_hand(case: Case, candidate: Candidate) -> str:
     """The code that fits ``candidate`` to all recordings of the ``case``, from ``d1`` (and ``arm``, ``shapes``)."""
     lines = [
@@ -177,7 +185,8 @@ def by_hand(case: Case, candidate: Candidate) -> str:
         "excitation = np.stack([u[:steps] for u in d1.us[:8]])",
     ]
     if case.shapes is not None and candidate.name.startswith("PI"):
-        lines += CALIBRATE.splitlines()
+        chosen = CHOOSE.format(disks=case.forms)
+        lines += (CALIBRATE if case.chosen is None else chosen).splitlines()
     return "\n".join([*lines, *candidate.code.splitlines()])
 
 

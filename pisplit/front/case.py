@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,18 @@ import numpy as np
 from pisplit import Episodes, PhaseSamples
 from pisplit.checks import Array
 from pisplit.data.suspicions import noise_level
+from pisplit.models import rod
 from pisplit.models.arm import Arm, ArmPhysics, TendonArm, equilibrium_table, make_phase_samples
-from pisplit.models.arm.recording import random_displacements
+from pisplit.models.arm.predictor import ArmPredictor
+from pisplit.models.arm.recording import make_episodes, random_displacements
 from pisplit.models.arm.resting import RestShapes
-from pisplit.models.calibration import Calibration, calibrate_from_recordings, calibrate_from_shapes
+from pisplit.models.calibration import (
+    Calibration,
+    CalibrationChoice,
+    calibrate_from_recordings,
+    calibrate_from_shapes,
+    choose_calibration,
+)
 from pisplit.models.rod.analysis.fields import N_FIELDS
 
 #: Half width of the table of equilibria in usual displacements, phase samples, recordings of the twin.
@@ -29,6 +37,13 @@ SEED = 7919
 WINDOWS, WINDOW_STEPS = 12, 6
 #: Roll-outs under recorded inputs that a model has to survive.
 EXCITATIONS = 8
+#: Ways to calibrate an arm by its shapes, the usual one first.
+CALIBRATE: tuple[str, ...] = ("auto", "choose", "shapes")
+#: Root mean square of misses, in standard deviations, beyond which shapes at rest or recordings say that it is not the
+#: arm that was drawn; and disks of an arm on which nobody has counted them.
+UNLIKE, DISKS = 3.0, 8
+#: Recordings of a twin whose tendons rub over disks: each costs ten times as much.
+DEAR_EPISODES = 6
 #: Groups of outputs by which models are compared, the first that the data have.
 GROUPS = ("shape", "tip")
 
@@ -43,6 +58,8 @@ class Case:
         shapes: its shapes at rest, if there are any.
         states: outputs by which models are compared: a group, names or positions of states, None for all.
         progress: whether to show bars of long simulations.
+        calibrate: how the arm is calibrated by its shapes: see :func:`pisplit.identify`.
+        disks: forms of the tendons to choose from.
         made: what was simulated already, by name; shared between cases of one identification.
     """
 
@@ -51,11 +68,13 @@ class Case:
     shapes: RestShapes | None
     states: Any
     progress: bool = True
+    calibrate: str = CALIBRATE[0]
+    disks: tuple[Any, ...] | None = None
     made: dict[str, Any] = field(default_factory=dict)
 
     def on(self, d1: Episodes) -> Case:
         """The same with other recordings ``d1`` of the same system."""
-        return Case(d1, self.arm, self.shapes, self.states, self.progress, self.made)
+        return replace(self, d1=d1)
 
     @property
     def excitation(self) -> Array:
@@ -151,23 +170,61 @@ class Case:
     def calibration(self) -> Calibration:
         """Tendons and stiffness from shapes at rest, damping from windows of the recordings.
 
-        Raises RuntimeError where the drawing cannot explain the shapes.
+        Where these say that it is not the arm that was drawn, form and numbers from all of them (``choice``). Raises
+        RuntimeError where nothing explains them.
         """
         return self._once("calibration", self._calibration)
 
     def _calibration(self) -> Calibration:
+        if self.calibrate == "choose":
+            return self.choice().calibration
+        try:
+            return self._usual()
+        except RuntimeError:
+            if self.calibrate == "shapes":
+                raise
+            return self.choice().calibration
+
+    def choice(self) -> CalibrationChoice:
+        """Form of the tendons, servos, friction and loads by held-out roll-outs (``choose_calibration``).
+
+        Raises RuntimeError where there are fewer than two recordings, or no calibration predicts those held out.
+        """
+        return self._once("choice", self._choice)
+
+    @property
+    def forms(self) -> tuple[Any, ...] | None:
+        """Forms of the tendons to choose from; None for that of the drawing alone."""
+        drawn = self.arm.tendons if isinstance(self.arm, TendonArm) else None
+        if self.disks is not None or not isinstance(drawn, rod.Tendons) or drawn.disks is not None:
+            return self.disks
+        return None, DISKS
+
+    @property
+    def chosen(self) -> CalibrationChoice | None:
+        """The choice of form and groups, where there was one."""
+        return self.made.get("choice")
+
+    def _choice(self) -> CalibrationChoice:
+        arm = self.arm
+        assert isinstance(arm, TendonArm)
+        if len(self.d1) < 2:
+            raise RuntimeError("one recording cannot choose the form of an arm: two or more are needed")
+        return choose_calibration(arm, self.d1, self.shapes, disks=self.forms, progress=self.progress)
+
+    def _usual(self) -> Calibration:
         arm, shapes = self.arm, self.shapes
         assert isinstance(arm, TendonArm) and shapes is not None
         resting = calibrate_from_shapes(
             arm, shapes.inputs, shapes.fields, shapes.position_error, shapes.rotation_error, shapes.stations
         )
-        if resting.residual > 3.0:
+        if resting.residual > UNLIKE:
             raise RuntimeError(
                 f"the drawing does not explain the shapes at rest: they are missed by {resting.residual:.2g} standard "
                 "deviations; check its numbers, or the errors of the shapes"
             )
         fields, moves = self._windows()
-        return calibrate_from_recordings(
+        found = calibrate_from_recordings(
             resting.arm,
             fields,
             moves,
@@ -178,6 +235,9 @@ class Case:
             free=("damping",),
             start=resting.parameters,
         )
+        if found.residual > UNLIKE and self.calibrate != "shapes":
+            raise RuntimeError(f"the recordings are missed by {found.residual:.2g} standard deviations")
+        return found
 
     def _windows(self) -> tuple[Array, Array]:
         """Fields (N, T+1, n) and displacements (N, T+1, m) of short windows, spread over the recordings."""
@@ -200,10 +260,33 @@ class Case:
         return self._once("twin", self._twin)
 
     def _twin(self) -> Episodes:
-        steps = min(200, max(len(u) for u in self.d1.us))
-        return self.known_arm().record(
-            TWIN_EPISODES, SEED, max(steps, 60), self.d1.dt, self.stations, progress=self.progress
-        )
+        steps, arm = max(60, min(200, max(len(u) for u in self.d1.us))), self.known_arm()
+        if self.chosen is None:
+            return arm.record(TWIN_EPISODES, SEED, steps, self.d1.dt, self.stations, progress=self.progress)
+        rubs = arm.tendons.disks is not None and self.chosen.calibration.parameters.friction > 0.0
+        number = min(TWIN_EPISODES, DEAR_EPISODES) if rubs else TWIN_EPISODES
+        with tempfile.TemporaryDirectory() as folder:
+            return make_episodes(
+                arm,
+                Path(folder) / "twin.h5",
+                number,
+                steps,
+                self.d1.dt,
+                stations=self.stations,
+                seed=SEED,
+                progress=self.progress,
+                actuator=self.chosen.actuator,
+            )
+
+    def predictor(self) -> ArmPredictor | None:
+        """Roll-outs of the calibrated arm behind its servos; None without shapes that calibrate it.
+
+        Raises RuntimeError where nothing explains the shapes.
+        """
+        if self.shapes is None or self.no_rod():
+            return None
+        found = self.calibration()
+        return self._once("predictor", lambda: ArmPredictor(found.arm, self.d1.dt, self.stations, found.actuator))
 
     def twin_excitation(self) -> Array:
         """Displacements (E, T, m) in m of the kind that the twin was moved by."""

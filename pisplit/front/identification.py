@@ -16,14 +16,17 @@ from tqdm import tqdm
 
 from pisplit import Episodes, HorizonErrors, LiftedModel, horizon_errors, predicted_error, rollout_errors
 from pisplit.brief import brief
+from pisplit.checks import one_of
 from pisplit.data.sums import not_episodes
 from pisplit.front.candidates import CANDIDATES, Candidate, by_hand, fitted
-from pisplit.front.case import GROUPS, Case
+from pisplit.front.case import CALIBRATE, GROUPS, Case
 from pisplit.front.judgement import helps, unfit
 from pisplit.front.reach import recorded
 from pisplit.front.report import Report, Tried
 from pisplit.models.arm import Arm, MotionCapture, fields_from_markers
+from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.resting import RestShapes
+from pisplit.models.calibration import CalibrationChoice
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
 FEWEST, PIECES = 40, 5
 #: Steps ahead of which the report tells, as far as recordings reach.
 HORIZONS = (1, 3, 10, 30, 100, 300)
+#: Name of the calibrated arm among what was tried.
+PREDICTOR = "the calibrated arm"
 #: A later candidate has to be better than an earlier, simpler one by this part.
 MARGIN = 0.05
 
@@ -50,6 +55,9 @@ class Identified:
         case: what it was learned from.
         held: the recordings that were held out from the comparison.
         errors: held-out errors by horizon, by candidate.
+        predictor: the arm as it was calibrated by its shapes, behind its servos: it predicts from states and commands,
+            but is no model for MPC; None without shapes.
+        calibration: how form and numbers of that arm were chosen; None where the drawing explained the shapes.
     """
 
     estimator: Any
@@ -58,6 +66,8 @@ class Identified:
     held: Episodes
     errors: dict[str, HorizonErrors]
     _report: Report
+    predictor: ArmPredictor | None = None
+    calibration: CalibrationChoice | None = None
 
     @property
     def lifted(self) -> LiftedModel:
@@ -117,6 +127,8 @@ def identify(
     candidates: Sequence[str] | None = None,
     progress: bool = True,
     capture: MotionCapture | None = None,
+    calibrate: str = CALIBRATE[0],
+    disks: Sequence[int | Sequence[float] | None] | None = None,
 ) -> Identified:
     """Try every model that the data allow and keep the one that rolls held-out recordings out best.
 
@@ -136,15 +148,22 @@ def identify(
         capture: markers, where positions of a few points are all that was recorded: all fields are found from these by
             the equations of the ``arm``, which is calibrated already (``calibrate_from_markers``); models and errors
             are then those of all fields, in the axes of the arm's base.
+        calibrate: "auto" calibrates the drawing by its shapes in seconds and, where they or the recordings say that it
+            is not that arm, looks for form of the tendons, friction, servos and loads by held-out roll-outs: some two
+            minutes of CPU a form with disks, with a bar. "choose" does that always, "shapes" never.
+        disks: forms of the tendons to choose from then, the simplest first: None along the backbone, or their number
+            (count them: the twin of a robot with ten is not that of one with eight). (None, 8) if not given, and the
+            disks of the drawing where it has some.
 
     Raises ValueError, in one line, for too little data, inputs that never change, and where all candidates diverge.
     """
     _check(d1, arm, shapes)
+    one_of(calibrate, "calibrate", CALIBRATE)
     if capture is not None:
         d1 = _seen_by_markers(d1, arm, capture)
     group = states if states is not None else next((g for g in GROUPS if g in (d1.outputs or {})), None)
     training, held = _parted(d1)
-    case = Case(d1, arm, shapes, group, progress)
+    case = Case(d1, arm, shapes, group, progress, calibrate, None if disks is None else tuple(disks))
     part = case.on(training)
     tried: list[Tried] = []
     fits: dict[str, Any] = {}
@@ -157,7 +176,9 @@ def identify(
             error, trouble = _held_out_error(estimator, held, group)
             fits[candidate.name] = estimator
         tried.append(Tried(candidate.name, error, trouble, time.process_time() - begin))
-    order = _ranked(tried, fits)
+    predictor, row = _predictor(part, held, group)
+    tried += row
+    order = _ranked([t for t in tried if t.name in fits], fits)
     if not order:
         told = "; ".join(f"{t.name}: {t.note}" for t in tried if not t.note.startswith("not tried"))
         raise ValueError(
@@ -174,7 +195,28 @@ def identify(
         errors = {n: horizon_errors(fits[n], held, ahead, group, max(1, ahead[-1] // 4)) for n in order}
         report = _report(case, part, best, tried, fits, errors, held)
     rivals = tuple((name, fits[name]) for name in order)
-    return Identified(estimator, rivals, case, held, errors, report)
+    return Identified(estimator, rivals, case, held, errors, report, predictor, case.chosen)
+
+
+def _predictor(part: Case, held: Episodes, group: Any) -> tuple[ArmPredictor | None, list[Tried]]:
+    """The calibrated arm, and its line among what was tried."""
+    begin = time.process_time()
+    try:
+        found = part.predictor()
+        if found is None:
+            return None, []
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            errors = found.score(held, group if group in found.outputs else None)
+    except (ValueError, RuntimeError) as error:
+        return None, [Tried(PREDICTOR, np.inf, " ".join(str(error).split()), time.process_time() - begin)]
+    note = "predicts, but is no model for MPC: model.predictor"
+    if part.chosen is not None:
+        note += f"; {part.chosen.tried[part.chosen.chosen].name}"
+    lost = int(errors.diverged.sum())
+    if lost:
+        return found, [Tried(PREDICTOR, np.inf, f"fails on {lost} of {len(held)} held-out recordings", 0.0)]
+    return found, [Tried(PREDICTOR, float(np.sqrt(errors.mean)), note, time.process_time() - begin)]
 
 
 def _seen_by_markers(d1: Episodes, arm: Arm | None, capture: MotionCapture) -> Episodes:

@@ -66,6 +66,8 @@ def helps(
             found.append("if this is an arm: a drawing of it (arm=ps.TendonArm(...)), from which physics is taken")
     elif case.shapes is None and not case.is_simulated:
         found.append("a dozen shapes at rest with their inputs (shapes=): they calibrate the drawing")
+    if case.chosen is not None:
+        found += [f"the form of the arm: {doubt}" for doubt in case.chosen.doubts]
     if blown := _blown_up(case):
         found.append(f"units of the states: those of one unit share a scale, here {blown} count with their noise alone")
     _, basis = case.d1.input_subspace()
