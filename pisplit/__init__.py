@@ -127,6 +127,7 @@ __all__ = [
     "LiftedModel",
     "LinearEDMDc",
     "Markers",
+    "ModelSpectrum",
     "Modes",
     "PIEDMDc",
     "Pairs",

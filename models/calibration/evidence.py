@@ -53,7 +53,7 @@ class Evidence:
     input_error: float
 
     def calibrated(self, model: ParametrisedArm, rough: bool = False) -> Calibration:
-        """The ``model`` fitted to it; see ``fit`` and ``told``."""
+        """The ``model`` fitted to it, if ``rough`` to a twentieth; see ``fit`` and ``told``."""
         return self.told(model, self.fit(model, rough))
 
     def fit(

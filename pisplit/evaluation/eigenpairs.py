@@ -58,7 +58,8 @@ class ModelSpectrum:
         return np.asarray(self.residuals > positive(tolerance, "tolerance"))
 
     def report(self, tolerance: float = SPURIOUS) -> str:
-        """One line an oscillation or decay that can be believed, slowest decay first, and how many cannot."""
+        """One line an oscillation or decay whose residual is within ``tolerance``, slowest decay first, and how many are
+        not."""
         good = np.flatnonzero(~self.spurious(tolerance) & (self.eigenvalues.imag >= 0.0))
         order = good[np.argsort(-np.abs(self.eigenvalues[good]), kind="stable")]
         lines = [
