@@ -58,8 +58,7 @@ class ModelSpectrum:
         return np.asarray(self.residuals > positive(tolerance, "tolerance"))
 
     def report(self, tolerance: float = SPURIOUS) -> str:
-        """One line an oscillation or decay whose residual is within ``tolerance``, slowest decay first, and how many are
-        not."""
+        """One line an oscillation or decay with a residual within ``tolerance``, slowest first; how many have none."""
         good = np.flatnonzero(~self.spurious(tolerance) & (self.eigenvalues.imag >= 0.0))
         order = good[np.argsort(-np.abs(self.eigenvalues[good]), kind="stable")]
         lines = [
