@@ -28,6 +28,7 @@ from common.report import Report, parser, run
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, identify
 from pisplit import observables as ob
 from pisplit.controllers import ClosedLoop, KalmanFilter, LoopLog, plants, references, tune
+from pisplit.data import unrounded
 from pisplit.models.arm import TendonArm, random_displacements
 
 matplotlib.use("Agg")
@@ -43,7 +44,8 @@ ROUNDINGS, SHIFTS = (1e-5, 1e-3, 1e-1), (0.05, -0.05)
 #: Width of the figure-eight [m], its time [s]; steps of approach, times round.
 WIDTH, PERIOD, APPROACH, ROUNDS = 0.04, 8.0, 40, 2
 DELAYS = 4
-#: Rounding [mm] and lateness [s] of a log, whether it is moved by what was told of it before, RMS to reach [mm].
+#: Rounding [mm] and lateness [s] of a log, what is done with it (moved by what was told of it before, or
+#: its commands unrounded), RMS to reach [mm].
 Case = tuple[float, float, "str | None", "float | None"]
 MODELS = {"L-EDMDc": LinearEDMDc, "B-EDMDc": BilinearEDMDc}
 RIDGES = tuple(np.logspace(-9, 0, 10).tolist())
@@ -198,16 +200,19 @@ def main() -> None:
     motions = recorded(arm, episodes, 10.0, given.seed)
     report = Report.of("an arm from a drawing, by its logs alone", given)
     cases: list[Case] = [(rounding, 0.0, None, 0.3) for rounding in ROUNDINGS]
+    cases += [(ROUNDINGS[-1], 0.0, "unrounded", 0.3)]
     cases += [(1e-3, SHIFTS[0], None, 0.5), (1e-3, SHIFTS[1], None, None), (1e-3, SHIFTS[1], "as told", 0.5)]
-    cases = cases[1:2] + cases[3:4] if given.quick else cases
+    cases = cases[1:2] + cases[4:5] if given.quick else cases
     found: dict[str, tuple[Array, Array]] = {}
     told = 0.0
     for number, (rounding, late, shift, target) in enumerate(cases):
         clock = f"{1e3 * abs(late):.0f} ms {'late' if late > 0.0 else 'early'}" if late else "right"
-        label = f"rounded to {rounding:g} mm, clock {clock}{', moved' if shift else ''}"
+        done = {None: "", "as told": ", moved"}.get(shift, f", {shift}")
+        label = f"rounded to {rounding:g} mm, clock {clock}{done}"
         print(f"{label}:")
         folder = given.out / f"logs{number}"
-        d1 = logged(folder, motions, rounding, late, told if shift else None, not given.no_units)
+        d1 = logged(folder, motions, rounding, late, told if shift == "as told" else None, not given.no_units)
+        d1 = unrounded(d1) if shift == "unrounded" else d1
         origin = d1.provenance or {}
         if late and not shift:
             told = origin["latency"] or 0.0

@@ -16,6 +16,7 @@ if _TYPE_CHECKING:
     from pisplit.data.phase import KnownSystem, PhaseSamples
     from pisplit.data.report import Column, DataReport
     from pisplit.data.units import columns_to_si, to_si
+    from pisplit.data.unrounding import unrounded
 
 #: Names by the module that is loaded when one of them is first used.
 _PLACES = {
@@ -27,6 +28,7 @@ _PLACES = {
     "pisplit.data.phase": "KnownSystem PhaseSamples",
     "pisplit.data.report": "Column DataReport",
     "pisplit.data.units": "columns_to_si to_si",
+    "pisplit.data.unrounding": "unrounded",
 }
 _HOME = {name: module for module, names in _PLACES.items() for name in names.split()}
 
@@ -47,6 +49,7 @@ __all__ = [
     "find_latency",
     "to_si",
     "unit_factors",
+    "unrounded",
 ]
 
 

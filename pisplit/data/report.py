@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pisplit.brief import brief
 from pisplit.data import suspicions
 from pisplit.data.latency import Latency, find_latency
+from pisplit.data.rounding import coarse
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -231,6 +232,13 @@ def _remarks(
         found.append(f"{len(steps)} recording{'s' if len(steps) > 1 else ''}: little can be held out for a test")
     if min(steps) < 10:
         found.append(f"{sum(n < 10 for n in steps)} of {len(steps)} episodes are shorter than 10 steps")
+    if rough := coarse(episodes):
+        name, step, part = rough[0]
+        more = f" and {len(rough) - 1} more" if len(rough) > 1 else ""
+        found.append(
+            f"{name}{more}: rounded to {step:.3g}, {100 * part:.0f} % of the usual change: where the log rounds and "
+            "the robot does not, pisplit.data.unrounded(d1) makes them smooth again"
+        )
     noisy = [c.name for c in columns if c.noise is not None and c.noise > 0.2 * c.spread > 0.0]
     if noisy:
         found.append(f"noise is more than a fifth of the spread of {', '.join(noisy[:4])}")
