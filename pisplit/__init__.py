@@ -23,6 +23,8 @@ if _TYPE_CHECKING:
     from pisplit.data.labelled import to_xarray as to_xarray
     from pisplit.data.phase import PhaseSamples as PhaseSamples
     from pisplit.dictionary.dictionary import Dictionary as Dictionary
+    from pisplit.estimators.actuator_choice import ActuatorChoice as ActuatorChoice
+    from pisplit.estimators.actuator_choice import choose_actuator as choose_actuator
     from pisplit.estimators.actuator_scan import FoundActuator as FoundActuator
     from pisplit.estimators.actuator_scan import find_actuator as find_actuator
     from pisplit.estimators.bilinear import BilinearEDMDc as BilinearEDMDc
@@ -80,6 +82,7 @@ _PLACES = {
     "pisplit.data.labelled": "from_xarray to_xarray",
     "pisplit.data.phase": "PhaseSamples",
     "pisplit.dictionary.dictionary": "Dictionary",
+    "pisplit.estimators.actuator_choice": "ActuatorChoice choose_actuator",
     "pisplit.estimators.actuator_scan": "FoundActuator find_actuator",
     "pisplit.estimators.bilinear": "BilinearEDMDc",
     "pisplit.estimators.choosing": "Chosen choose",
@@ -112,6 +115,7 @@ _MODULES = {"observables": "pisplit.observables", "references": "pisplit.control
 
 __all__ = [
     "Actuator",
+    "ActuatorChoice",
     "ArmIdentifier",
     "BilinearEDMDc",
     "Chosen",
@@ -145,6 +149,7 @@ __all__ = [
     "TwinEDMDc",
     "balanced_truncation",
     "choose",
+    "choose_actuator",
     "compare",
     "find_actuator",
     "from_state_space",

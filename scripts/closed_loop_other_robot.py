@@ -3,7 +3,8 @@
 Models learn from its recordings alone; a Kalman filter and the integrating disturbance estimate do the rest. The tip
 follows a circle of 0.1 m in 4 s and stops on it. Kinds are L and B, models of commands; "L+told" and "B+told" are
 models of the positions behind servos whose lag and play are told, which MPC takes out of what it sends; with "+found"
-``find_actuator`` looks for these in all recordings.
+``find_actuator`` looks for these in all recordings; "+play1.3" and "+lag2" tell 1.3 times the play and twice the lag.
+With ``--check`` numbers that recordings contradict are not taken (``choose_actuator``).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,11 +24,11 @@ import numpy as np
 from tqdm import tqdm
 
 from common.report import Report, parser, run
-from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, find_actuator
+from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, choose_actuator, find_actuator
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, plants, references
-from pisplit.lifted.operators import excited_inputs
+from pisplit.estimators.actuator_scan import positions
 from pisplit.models.arm import DiskRobot, disk_robot
 
 DT, HORIZON, SETTLED, DELAYS = 0.03, 20, 100, 3
@@ -36,6 +38,8 @@ EPISODES, STEPS, PAIRS = 20, 200, 128
 #: Steps after the stop, of which the last ones count.
 RESTING, AT_REST = 40, 15
 ESTIMATORS = {"L": LinearEDMDc, "B": BilinearEDMDc}
+#: Ridge of the models by which servo numbers are checked.
+CHECKED = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,39 +61,50 @@ def around(robot: DiskRobot, seed: int, integrator: str) -> Any:
     return plants.NoisyMeasurements(servo, robot.noise, robot.noise_angle, seed)
 
 
-def fitted(kind: str, data: Episodes, pairs: int | None, seed: int) -> Any:
-    """A model of the kind "L" or "B" from ``pairs`` drawn from all recordings, or from all there are."""
+def dictionary(kind: str, data: Episodes) -> Dictionary:
+    """That of models of the kind "L" or "B" of ``data``."""
     parts: list[Any] = [ob.Constant(), ob.Identity(), ob.Delays(inputs=DELAYS)]
     if kind == "B":
         parts.append(ob.Bilinear())
     names = {"state_names": data.state_names, "input_names": data.input_names}
-    theta = Dictionary(*parts, n_states=data.n_states, n_inputs=data.n_inputs, **names)
+    return Dictionary(*parts, n_states=data.n_states, n_inputs=data.n_inputs, **names)
+
+
+def fitted(kind: str, data: Episodes, pairs: int | None, seed: int) -> Any:
+    """A model of the kind "L" or "B" from ``pairs`` drawn from all recordings, or from all there are."""
     drawn = None if pairs is None else data.pairs(DELAYS).sample(pairs, seed)
-    return ESTIMATORS[kind](theta, alpha="cv", penalty="ridge").fit(data, drawn)
+    return ESTIMATORS[kind](dictionary(kind, data), alpha="cv", penalty="ridge").fit(data, drawn)
 
 
 def servos(robot: DiskRobot, data: Episodes, how: str) -> Actuator | None:
-    """Servos by ``how`` they are known: "told", "found" in the recordings ``data``, or "" for not at all.
+    """Servos by ``how`` they are known: "told", "found" in ``data``, "play1.3" or "lag2": told so many times too large.
 
-    Raises ValueError for other words.
+    None for "". Raises ValueError for other words.
     """
-    if how not in ("", "told", "found"):
-        raise ValueError(f"+{how} is no way to know servos; expected nothing, +told or +found behind L or B")
     if how == "found":
         found = find_actuator(data, start=robot.arm.rest_inputs)
         tqdm.write(f"  {found}")
         return found.actuator
-    return robot.actuator if how else None
+    wrong = re.fullmatch(r"(lag|play)([0-9.]+)", how)
+    if how not in ("", "told") and wrong is None:
+        raise ValueError(f"+{how} is no way to know servos; expected +told, +found, +play1.3 or +lag2 behind L or B")
+    true = robot.actuator
+    if wrong is not None:
+        return replace(true, **{wrong[1]: float(wrong[2]) * getattr(true, wrong[1])})
+    return true if how else None
 
 
-def behind(servo: Actuator, data: Episodes, rest: Array) -> Episodes:
-    """Recordings ``data`` with positions of the ``servo`` in the place of commands, in the directions of these.
+def checked(kind: str, data: Episodes, servo: Actuator | None, rest: Array) -> Actuator | None:
+    """The ``servo`` if recordings do not contradict it."""
+    if servo is None:
+        return None
 
-    Play moves positions across that plane, too, but by little: what it does there cannot be learned.
-    """
-    plane = excited_inputs(data.pairs(1))
-    moved = data.through(servo, rest)
-    return replace(moved, us=[plane.offset + (u - plane.offset) @ plane.basis @ plane.basis.T for u in moved.us])
+    def fit(d: Episodes) -> Any:
+        return ESTIMATORS[kind](dictionary(kind, d), CHECKED, "ridge").fit(d)
+
+    found = choose_actuator(fit, data, [servo], rest)
+    tqdm.write(f"  {found}")
+    return None if found.actuator == Actuator() else found.actuator
 
 
 def errors(true: Array, log: Any, stop: int) -> tuple[float, float, float]:
@@ -107,10 +122,11 @@ def main() -> None:
     made = parser((__doc__ or "").splitlines()[0], "out/other_robot")
     made.add_argument("--presets", default="2", help="robots, separated by commas: 1 to 4")
     made.add_argument("--steps", type=int, default=170, help=f"steps of 30 ms until the tip stops for {RESTING} more")
-    made.add_argument("--kinds", default="B,L", help="models: L, B, and with servos L+told, B+told, B+found")
+    made.add_argument("--kinds", default="B,L", help="models: L, B, and with servos B+told, B+found, B+lag2")
     made.add_argument("--sizes", default=f"{PAIRS},all", help="pairs to learn from, and all")
     made.add_argument("--rate-weights", default="0.02", help="rate weights, separated by commas")
     made.add_argument("--gains", default="0.3", help="gains of the disturbance estimate")
+    made.add_argument("--check", action="store_true", help="take no servo numbers that recordings contradict")
     made.add_argument("--episodes", type=int, default=EPISODES)
     made.add_argument("--integrator", default="fast", choices=("fast", "idas"), help="that moves the robot")
     given = made.parse_args()
@@ -133,7 +149,8 @@ def main() -> None:
             pairs = None if size == "all" else int(size)
             estimator, _, how = kind.partition("+")
             servo = servos(robot, data, how)
-            moved = data if servo is None else behind(servo, data, robot.arm.rest_inputs)
+            servo = checked(estimator, data, servo, robot.arm.rest_inputs) if given.check else servo
+            moved = data if servo is None else positions(data, servo, robot.arm.rest_inputs)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 model = fitted(estimator, moved, pairs, given.seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pisplit import Actuator, Dictionary, Episodes, LinearEDMDc, find_actuator
+from pisplit import Actuator, Dictionary, Episodes, LinearEDMDc, choose_actuator, find_actuator
 from pisplit import observables as ob
 
 DT = 0.05
@@ -80,6 +80,19 @@ def test_positions_make_a_linear_model_exact_again() -> None:
     assert positions < 1e-18 < 1e-4 < commands
 
 
+@pytest.mark.parametrize("true", [Actuator(), Actuator(lag=0.04, play=0.2)])
+def test_numbers_that_recordings_contradict_are_not_taken(true: Actuator) -> None:
+    """Play where there is none, and three times too much of it; the first that fits is taken, not the best."""
+    theta = Dictionary(ob.States(), ob.Inputs(), ob.Delays(inputs=1), n_states=2, n_inputs=1)
+    told = [Actuator(play=0.6), true, Actuator(lag=0.2)]
+    found = choose_actuator(LinearEDMDc(theta).fit, recorded(true), told)
+    assert found.actuator == true
+    assert found.errors[0] > 1.2 and found.errors[1] <= 1.0
+    assert str(found).count("contradicted") == (found.errors > 1.2).sum()
+    none = choose_actuator(LinearEDMDc(theta).fit, recorded(Actuator()), [Actuator(play=0.6), Actuator(lag=0.2)])
+    assert none.actuator == Actuator()
+
+
 def test_recordings_pass_through_one_by_one_and_say_so() -> None:
     d1, actuator = recorded(Actuator()), Actuator(lag=0.03, play=0.1)
     passed = d1.through(actuator, start=[0.0])
@@ -98,5 +111,10 @@ def test_what_does_not_fit_is_refused() -> None:
         d1.through(Actuator(), start=[0.0, 1.0])
     with pytest.raises(ValueError, match="plays"):
         find_actuator(d1, plays=[-1.0])
+    theta = Dictionary(ob.States(), ob.Inputs(), n_states=2, n_inputs=1)
+    wrong = (d1[:1], [Actuator(0.1)], "two or more"), (d1, [], "empty"), (d1, [0.1], "Actuator")
+    for data, candidates, said in wrong:
+        with pytest.raises(ValueError, match=said):
+            choose_actuator(LinearEDMDc(theta).fit, data, candidates)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="at least 20"):
         find_actuator(Episodes([d1.xs[0][:11]], [d1.us[0][:10]], DT))

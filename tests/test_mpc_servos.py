@@ -37,11 +37,12 @@ def model() -> LiftedModel:
     return LinearEDMDc(theta).fit(Episodes(xs, us, DT)).lifted
 
 
-def missed(model: LiftedModel, servo: Actuator, told: Actuator | None, inputs: str = "ramp") -> tuple[float, Any]:
+def missed(
+    model: LiftedModel, servo: Actuator, told: Actuator | None, inputs: str = "ramp", **more: float
+) -> tuple[float, Any]:
     """RMS miss of a slow sine, once it is on it, and the controller; the plant is the model behind the ``servo``."""
-    mpc = MPC(
-        model, 20, -3.0, 3.0, 0.5, [0], rate_weight=1e-3, estimator_gain=0.0, actuator=told, actuator_inputs=inputs
-    )
+    numbers: dict[str, Any] = {"rate_weight": 1e-3, "estimator_gain": 0.0, **more}
+    mpc = MPC(model, 20, -3.0, 3.0, 0.5, [0], **numbers, actuator=told, actuator_inputs=inputs)
     wanted = 0.4 * np.sin(2.0 * np.pi * np.arange(STEPS + 30)[:, None] * DT / 3.0)
     plant = ActuatedPlant(ModelPlant(model, [0.0, 0.0]), servo, inputs)
     reference = references.from_array(wanted, DT, track="")
@@ -63,13 +64,34 @@ def test_play_that_is_told_is_taken_out(model: LiftedModel) -> None:
     assert with_it < 0.25 * without
 
 
+@pytest.mark.parametrize(
+    ("servo", "told"),
+    [
+        (Actuator(lag=0.04, play=0.3), Actuator(lag=0.04, play=0.4)),
+        (Actuator(lag=0.04, play=0.3), Actuator(lag=0.0, play=0.4)),
+        (Actuator(lag=0.04, play=0.3), Actuator(lag=0.08, play=0.3)),
+        (Actuator(lag=0.04, play=0.3), Actuator(lag=0.04, play=0.6)),
+    ],
+)
+def test_servos_that_are_told_wrong_are_better_than_none(model: LiftedModel, servo: Actuator, told: Actuator) -> None:
+    without, with_it = (missed(model, servo, a)[0] for a in (None, told))
+    assert with_it < 0.5 * without
+
+
+def test_two_standard_errors_of_the_play_are_left_in() -> None:
+    limits = input_limits(-14.0, 16.0, 2.0, 1)
+    for error, taken in ((None, 0.28), (0.04, 0.32), (0.0, 0.4), (0.3, 0.0)):
+        servos = Servos(Actuator(lag=0.05, play=0.4), 0.03, "ramp", limits, 20, error)
+        assert servos.actuator.play == pytest.approx(taken) and servos.actuator.lag == 0.05
+
+
 @pytest.mark.parametrize(("lag", "play"), [(0.05, 0.2), (0.0, 0.3), (0.015, 0.5)])
 def test_positions_are_those_of_servos_without_play(lag: float, play: float) -> None:
     dt, limits = 0.03, input_limits(-14.0, 16.0, 2.0, 1)
     commands = 5.0 * np.sin(0.5 * np.pi * dt * np.arange(230))[:, None]
     found: list[Array] = []
     free = Actuator(lag=lag).simulate(commands, dt)[0]
-    servos = Servos(Actuator(lag=lag, play=play), dt, "ramp", limits, 20)
+    servos = Servos(Actuator(lag=lag, play=play), dt, "ramp", limits, 20, play_error=0.0)
     servos.reset(commands[0])
     for k in range(200):
         found.append(servos.send(commands[k], free[k : k + 20])[1])
@@ -92,5 +114,7 @@ def test_what_cannot_be_is_refused(model: LiftedModel) -> None:
         MPC(model, 5, -1.0, 1.0, 1.0, [0], actuator=0.03)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="inputs"):
         MPC(model, 5, -1.0, 1.0, 1.0, [0], actuator=Actuator(lag=0.03), actuator_inputs="hold")
+    with pytest.raises(ValueError, match="play_error"):
+        MPC(model, 5, -1.0, 1.0, 1.0, [0], actuator=Actuator(lag=0.03), play_error=0.1)
     with pytest.raises(ValueError, match="servos"):
         MPC(model, 5, -1.0, 1.0, 1.0, [0], actuator=Actuator(lag=0.03), stuck_after=None).to_c("x.h")

@@ -59,7 +59,9 @@ WITHOUT = {
             "Base",
         ),
     ),
-    "numbers and matrices at one point": ("Stability", "PoseSensitivity", "Verdict", "Judge", "TendonParameters"),
+    "numbers and matrices at one point": (
+        *("Stability", "PoseSensitivity", "Verdict", "Judge", "TendonParameters", "ActuatorChoice"),
+    ),
     "drawn by what holds it: an account, an identification, a page": ("Energies", "Report", "Outline", "NewModel"),
     "files": ("Exported",),
     "an instrument that is told or found": ("Actuator", "MotionCapture"),

@@ -85,8 +85,9 @@ class MPC:
 
     ``actuator``: servos between the commands and what the model takes, for models of positions: those fitted to
     ``episodes.through(actuator)``, or equations of an arm. Limits are those of commands, the lag is predicted, and the
-    play is taken out of what is sent (:class:`Servos`). ``actuator_inputs``: how a command is reached, "ramp" or
-    "step".
+    play is taken out of what is sent (:class:`Servos`), but for two standard errors ``play_error`` of it (15 % of the
+    play if not given): too little of it costs less than too much. ``actuator_inputs``: how a command is reached, "ramp"
+    or "step".
 
     ``stuck_after``: a reading that repeats itself exactly so many times, while the inputs moved and the model predicts
     that it changed, is taken for not measured until it changes (``Move.stuck`` names it); None trusts all readings.
@@ -126,6 +127,7 @@ class MPC:
         stuck_after: int | None = 5,
         actuator: Actuator | None = None,
         actuator_inputs: str = "ramp",
+        play_error: float | None = None,
     ) -> None:
         self._arguments = {k: v for k, v in locals().items() if k not in ("self", "model", "observer", "__class__")}
         self.model = model = model_of(model, "model")
@@ -175,7 +177,7 @@ class MPC:
         self._estimation = self._estimation_of(
             model=model, observer=observer, gain=gain, stuck_after=stuck_after, amplitude=limits.amplitude
         )
-        self._servos = Servos(actuator, model.dt, actuator_inputs, limits, H)
+        self._servos = Servos(actuator, model.dt, actuator_inputs, limits, H, play_error)
         S = self._servos.response(self._prediction.nominal)
         self._problem = TrackingProblem(H, limits, weights, low, high, S, qp or QPSettings())
         self._line = Line(self._latency.total, "command_delay + measurement_delay")

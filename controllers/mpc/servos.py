@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pisplit.checks import Array
+from pisplit.checks import Array, non_negative
 from pisplit.controllers.mpc.limits import InputLimits
 from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
 
 #: Way of a position that is planned, in parts of the play, below which the servo is not sent through the play for it.
 DEAD = 0.3
+#: Standard error of a play of which none is told, in parts of it, and how many of them are left in.
+UNSURE, MARGIN = 0.15, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +33,12 @@ class Servos:
     So plans are commands of servos without play, and the position in a step is what the actuator makes of all that was
     sent, in the plane of the limits: of what play does across it a model knows nothing.
 
+    What is taken out beyond the play makes the position jump at every turn, the plan answers, and the loop swings; what
+    is left in costs little. So the servos are taken to have two standard errors less of it than told.
+
     Args:
         actuator: the servos, all alike; None for none.
+        play_error: standard error of the play; 15 % of it if None.
         dt: step in s.
         inputs: whether a command is reached linearly over its step ("ramp") or held ("step").
         limits: of the commands.
@@ -42,8 +48,20 @@ class Servos:
     Sensor Nonlinearities*, Wiley 1996, chapter 3.
     """
 
-    def __init__(self, actuator: Actuator | None, dt: float, inputs: str, limits: InputLimits, horizon: int) -> None:
-        self.actuator = Actuator() if actuator is None else checked_actuator(actuator)
+    def __init__(
+        self,
+        actuator: Actuator | None,
+        dt: float,
+        inputs: str,
+        limits: InputLimits,
+        horizon: int,
+        play_error: float | None = None,
+    ) -> None:
+        told = Actuator() if actuator is None else checked_actuator(actuator)
+        if play_error is not None and told.play == 0.0:
+            raise ValueError(f"play_error = {play_error!r} has no effect without an actuator with play; leave it out")
+        error = UNSURE * told.play if play_error is None else non_negative(play_error, "play_error")
+        self.actuator = replace(told, play=max(0.0, told.play - MARGIN * error))
         self._dt, self._inputs, self._limits = dt, inputs, limits
         self._half = 0.5 * self.actuator.play
         self.lead = 2 + int(np.ceil(self.actuator.lag / dt - 1e-9))

@@ -104,17 +104,12 @@ def find_actuator(
     pairs = episodes.pairs(1)
     if len(pairs) < 20:
         raise ValueError(f"the recordings hold {len(pairs)} pairs; expected at least 20 to learn from and to judge on")
-    directions = excited_inputs(pairs)
     tried: dict[tuple[float, float], Array] = {}
     structure = min(MAPS, key=lambda s: _size(_missed(episodes, s)))
 
     def missed(lag: float, play: float) -> Array:
         if (lag, play) not in tried:
-            moved = episodes.through(Actuator(lag=lag, play=play), start, inputs)
-            seen = [
-                directions.offset + (u - directions.offset) @ directions.basis @ directions.basis.T for u in moved.us
-            ]
-            tried[lag, play] = _missed(replace(moved, us=seen), structure)
+            tried[lag, play] = _missed(positions(episodes, Actuator(lag=lag, play=play), start, inputs), structure)
         return tried[lag, play]
 
     found = []
@@ -133,6 +128,17 @@ def find_actuator(
     rows = np.array([(*key, _size(value)) for key, value in tried.items()])
     residual, without = _size(missed(*kept)), _size(missed(0.0, 0.0))
     return FoundActuator(Actuator(lag=kept[0], play=kept[1]), residual, without, rows)
+
+
+def positions(episodes: Episodes, actuator: Actuator, start: ArrayLike | None = None, inputs: str = "ramp") -> Episodes:
+    """The ``episodes`` with positions of an ``actuator`` in the place of commands, in the directions of these.
+
+    Play moves positions across those directions, too, but by little: what it does there cannot be learned. ``start``
+    and ``inputs`` as in :meth:`Episodes.through`.
+    """
+    plane = excited_inputs(episodes.pairs(1))
+    moved = episodes.through(actuator, start, inputs)
+    return replace(moved, us=[plane.offset + (u - plane.offset) @ plane.basis @ plane.basis.T for u in moved.us])
 
 
 def _missed(episodes: Episodes, structure: Structure) -> Array:
