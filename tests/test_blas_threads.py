@@ -136,3 +136,37 @@ def test_results_do_not_depend_on_the_threads_of_the_process() -> None:
         alone = [accumulate([a]).factor, ridge(a, y, 0.1).K]
     for one, other in zip(found, alone, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_fits_and_the_front_have_one_thread_throughout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not in their products alone: what stands between those took most of the time on a busy machine."""
+    from pisplit.estimators import edmdc
+    from pisplit.front import control, identification
+
+    seen: dict[str, set[int]] = {}
+
+    def noting(place: Any, name: str) -> None:
+        inner = getattr(place, name)
+
+        def noted(*arguments: Any, **options: Any) -> Any:
+            seen.setdefault(name, set()).update(blas_threads())
+            return inner(*arguments, **options)
+
+        monkeypatch.setattr(place, name, noted)
+
+    noting(edmdc.LinearEDMDc, "_keep")
+    noting(identification, "_held_out_error")
+    noting(control, "_chosen")
+    rng = np.random.default_rng(0)
+    xs, us = [], [rng.uniform(-1.0, 1.0, (60, 1)) for _ in range(4)]
+    for u in us:
+        x = np.zeros((61, 2))
+        for k in range(60):
+            x[k + 1] = [0.9 * x[k, 0] + 0.2 * x[k, 1], -0.2 * x[k, 0] + 0.9 * x[k, 1] + 0.1 * u[k, 0]]
+        xs.append(x)
+    data = Episodes(xs, us, 0.05)
+    LinearEDMDc(Dictionary(ob.Identity(), n_states=2, n_inputs=1), alpha=0.1).fit(data)
+    assert seen == {"_keep": {1}}
+    identification.identify(data, candidates=["L-EDMDc"], progress=False).mpc(u_max=1.0, du_max=1.0)
+    assert seen == {"_keep": {1}, "_held_out_error": {1}, "_chosen": {1}}
+    assert blas_threads() == {2}

@@ -24,6 +24,7 @@ from pisplit.estimators.edmdc import LinearEDMDc
 from pisplit.estimators.fold_errors import FoldErrors, reasons
 from pisplit.evaluation.comparison import MORE
 from pisplit.evaluation.matching import States
+from pisplit.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,6 +85,7 @@ class Chosen:
         return plot_chosen(self, path)
 
 
+@one_blas_thread()
 def choose(
     candidates: Sequence[Any] | Mapping[str, Any],
     d1: Episodes | Sequence[Episodes],

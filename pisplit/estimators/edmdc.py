@@ -14,6 +14,7 @@ from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.base import GRIDS, Equilibria, Estimator, check_options
 from pisplit.regression import check_penalty
 from pisplit.splitting import Direct, SplitContext
+from pisplit.threads import one_blas_thread
 
 #: What the penalty pulls K to.
 TOWARD = ("zero", "identity")
@@ -88,6 +89,7 @@ class DirectEDMDc(Estimator):
         self.instruments = instruments
         self.toward = toward
 
+    @one_blas_thread()
     def fit(
         self: _D,
         d1: Episodes | Sequence[Episodes],

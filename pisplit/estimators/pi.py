@@ -23,6 +23,7 @@ from pisplit.regression.moments import Moments
 from pisplit.splitting import Balanced, Lie, Rows, SplitContext, SplitFit, Splitting, Strang, TwoStage
 from pisplit.splitting.options import check_names
 from pisplit.splitting.rows import check_rows
+from pisplit.threads import one_blas_thread
 
 
 def _hold(context: SplitContext) -> Splitting[Any]:
@@ -133,6 +134,7 @@ class PIEDMDc(Estimator):
         self._check_split()
         self._check_known()
 
+    @one_blas_thread()
     def fit(
         self,
         d1: Episodes | Sequence[Episodes],

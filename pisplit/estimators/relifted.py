@@ -29,6 +29,7 @@ from pisplit.estimators.relifted_coordinates import Coordinates, product_table
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import excited_inputs, state_range
 from pisplit.lifted.relifting import ReliftedTerm
+from pisplit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -147,6 +148,7 @@ class ReliftedEDMDc(Estimator):
         """Steps of history a prediction starts from: one, the last input."""
         return 1
 
+    @one_blas_thread()
     def fit(
         self, d1: Episodes | Sequence[Episodes], pairs: Pairs | None = None, excitation: ArrayLike | str | None = "auto"
     ) -> ReliftedEDMDc:

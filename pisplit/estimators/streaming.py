@@ -19,6 +19,7 @@ from pisplit.regression import ridge
 from pisplit.regression.moments import block_rows
 from pisplit.regression.recursive import RecursiveRegression
 from pisplit.regression.scaling import column_scales
+from pisplit.threads import one_blas_thread
 
 
 class StreamingEDMDc(Estimator):
@@ -70,6 +71,7 @@ class StreamingEDMDc(Estimator):
         self._latest = theta, arranged, used
         return self
 
+    @one_blas_thread()
     def fit(self, d1: Episodes | Sequence[Episodes], pairs: Pairs | None = None) -> StreamingEDMDc:
         """Forget everything, then :meth:`update` with the episodes ``d1``, or ``pairs`` drawn from them."""
         self._forget()

@@ -18,6 +18,7 @@ from pisplit.regression.kept import Kept
 from pisplit.regression.moments import Moments, stacked
 from pisplit.regression.scaling import column_scales
 from pisplit.splitting import SplitFit, pair_moments
+from pisplit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,7 @@ class TwinEDMDc(Estimator):
         self.cv_folds = cv_folds
         self.max_radius = max_radius
 
+    @one_blas_thread()
     def fit(
         self,
         d1: Episodes | Sequence[Episodes],

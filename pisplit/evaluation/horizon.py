@@ -17,6 +17,7 @@ from pisplit.data.noise import noise_margins
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
+from pisplit.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,6 +67,7 @@ class HorizonErrors:
         return plot_horizons(self, path)
 
 
+@one_blas_thread()
 def horizon_errors(
     model: LiftedModel | Fitted,
     episodes: Episodes,

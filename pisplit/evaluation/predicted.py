@@ -15,6 +15,7 @@ from pisplit.data.episodes import Episodes, Pairs
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.rollouts import squared_unit
 from pisplit.lifted.model import LiftedModel
+from pisplit.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,6 +69,7 @@ class PredictedError:
         return plot_predicted(self, path)
 
 
+@one_blas_thread()
 def predicted_error(
     model: LiftedModel | Fitted,
     episodes: Episodes,

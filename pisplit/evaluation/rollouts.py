@@ -16,6 +16,7 @@ from pisplit.data.episodes import Episodes
 from pisplit.evaluation.matching import Fitted, States, matched, model_of, state_indices
 from pisplit.evaluation.pieces import SIDE_BY_SIDE, pieces
 from pisplit.lifted.model import LiftedModel
+from pisplit.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,6 +88,7 @@ class RolloutErrors:
         return plot_rollouts(self, path)
 
 
+@one_blas_thread()
 def rollout_errors(
     model: LiftedModel | Fitted,
     episodes: Episodes,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from tqdm import tqdm
 
 from pisplit.checks import Array, finite_array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, LoopLog, references
@@ -18,6 +19,7 @@ from pisplit.controllers.plants import ModelPlant
 from pisplit.front.doubted import DoubtedPlant
 from pisplit.front.reach import beyond, limits
 from pisplit.models.arm import Arm
+from pisplit.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +64,7 @@ class Control:
     notes: tuple[str, ...]
 
     @classmethod
+    @one_blas_thread()
     def of(
         cls,
         found: Identified,
@@ -162,7 +165,7 @@ def _chosen(found: Identified, model: LiftedModel, given: dict[str, Any]) -> tup
     plants = _plants(found, MPC(model, rate_weight=RATE_WEIGHTS[0], **given), "observer" in given)
     trials: list[tuple[float, float]] = []
     best, least, weights = None, np.inf, list(RATE_WEIGHTS)
-    for weight in weights:
+    for weight in tqdm(weights, desc="rate weights", unit="weight", disable=not found.case.progress):
         controller = MPC(model, rate_weight=weight, **given)
         worst = 0.0
         for plant, path, steps in plants:

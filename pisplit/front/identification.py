@@ -27,6 +27,7 @@ from pisplit.models.arm import Arm, MotionCapture, fields_from_markers
 from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.calibration import CalibrationChoice
+from pisplit.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -119,6 +120,7 @@ class Identified:
         return Control.of(self, u_max, du_max, u_min, settings)
 
 
+@one_blas_thread()
 def identify(
     d1: Episodes,
     arm: Arm | None = None,
