@@ -241,3 +241,22 @@ def test_springs_slide_and_turn_in_every_direction():
             rod.Base(**wrong)
     with pytest.raises(ValueError, match="Base stiffness"):
         rod.Base(hinge="ball", slides="x", stiffness=1.0)
+
+
+@pytest.mark.parametrize(
+    ("strains", "hinge", "slides", "rigid"), [("planar", (0, 1, 0), "xz", 3), ("kirchhoff", "ball", "xyz", 6)]
+)
+def test_a_free_rod_has_every_rigid_motion_once(strains: str, hinge: object, slides: str, rigid: int) -> None:
+    """beta L = 4.730, 7.853 (both planes in space); drag makes all but the spin about its axis a mode of its own."""
+    beam = rod.Rod(1.0, rod.Circle(2e-3), rod.Elastic(1e7, 4e6, 1000.0), strains)
+    scene = rod.Scene(beam, rod.Base(hinge=hinge, slides=slides), nodes=6)
+    unit, planes = np.sqrt(beam.stiffness[1] / beam.mass_per_length), 1 if strains == "planar" else 2
+    modes = scene.modes(np.zeros(scene.n_states), rigid + 2 * planes)
+    assert modes.frequency[:rigid].tolist() == [0.0] * rigid
+    found = np.sqrt(2.0 * np.pi * modes.frequency[rigid:] / unit)
+    assert found == pytest.approx(np.repeat([4.730, 7.853], planes), rel=3e-3)
+    dragged = (scene + rod.LinearDrag(1e-3)).modes(np.zeros(scene.n_states))
+    assert np.count_nonzero(dragged.frequency == 0.0) == rigid
+    slow = dragged.eigenvalues[(dragged.frequency > 0.0) & (np.abs(dragged.eigenvalues) < 0.5 * beam.bending_rate)]
+    resisted = rigid - (planes == 2)
+    assert slow.real == pytest.approx(np.full(resisted, -1e-3 / beam.mass_per_length), rel=1e-2)

@@ -241,3 +241,10 @@ def test_more_nodes_are_tried_where_few_find_no_equilibrium(monkeypatch: pytest.
 def test_a_search_that_failed_has_no_error_to_trust() -> None:
     found = rod.Scene(body(), rod.TipWrench(moment=rod.Input("m", 3))).statics().solve(moment(2.0))
     assert not found.success and found.error == np.inf
+
+
+def test_a_bent_rod_at_rest_names_its_nodes() -> None:
+    """Strains of an unloaded rod are exact on any grid, and its shape is not."""
+    body = rod.Rod(1.0, rod.Circle(0.01), rod.Elastic(1e6, 4e5, 1000.0), "planar", rest_curvature=(0.0, 3.0, 0.0))
+    with pytest.warns(rod.Unresolved, match="2 nodes do not resolve .* nodes=6 would do"):
+        rod.Scene(body, nodes=2).statics().solve()

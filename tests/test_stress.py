@@ -46,7 +46,7 @@ def test_a_run_that_was_killed_goes_on_where_it_was(tmp_path: Path, monkeypatch:
     assert not list(tmp_path.iterdir())
 
 
-@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=14, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(scenes())
 def test_random_scenes_end_with_a_clean_status(described: Description) -> None:
     """Statics and two steps of motion: finite states, and success or one line that says why not."""
@@ -120,6 +120,14 @@ def test_what_is_off_without_a_word_is_wrong() -> None:
     cases = [c for c in sweeps(quick=True, seed=0) if c["kind"] == "dead truth" and c["strains"] == "planar"]
     found = [work(case) for case in cases[:5]]
     assert {f["outcome"] for f in found} <= {"ok", "flagged"} and any(f["outcome"] == "ok" for f in found)
+
+
+@pytest.mark.parametrize("kind", ["dead truth", "arm truth", "load"])
+def test_answers_that_were_spoilt_do_not_pass(kind: str) -> None:
+    """Moved by 3e-3 of the length or of the travel, a right answer is wrong."""
+    cases = [c for c in sweeps(quick=False, seed=0) if c["kind"] == kind and c["nodes" if "truth" in kind else "ratio"]]
+    mild = min(cases, key=lambda c: c.get("load", c.get("weight", abs(c.get("ratio", 0.0) - 0.01))))
+    assert work(mild)["outcome"] == "ok" and work(mild | {"spoil": 3e-3})["outcome"] == "wrong"
 
 
 def test_a_case_of_the_full_arm_is_solved() -> None:

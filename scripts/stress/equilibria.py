@@ -110,7 +110,7 @@ def dead(case: Case) -> dict[str, Any]:
         scene, u = rod.Scene(body, gravity, nodes="auto"), np.zeros(0)
     else:
         scene = _scene(kind, strains, case["nodes"])
-    shape, told = _solved(scene, u)
+    shape, told = _solved(scene, u, case)
     # In the plane of load and axis; which plane that is is open where the load is along the axis.
     seen = shape[np.abs(true[:, 0]).argmax(), :2] * np.sign(true[np.abs(true[:, 0]).argmax(), 0])
     axis = direction[:2] / across if across > 0.0 else seen / max(float(np.linalg.norm(seen)), 1e-12)
@@ -118,8 +118,11 @@ def dead(case: Case) -> dict[str, Any]:
     return judged(float(np.linalg.norm(shape - expected * LENGTH, axis=1).max()) / LENGTH, told)
 
 
-def _solved(scene: rod.Scene, u: Array) -> tuple[Array, str]:
-    """Shape (20, 3) of the equilibrium, and what was said against it."""
+def _solved(scene: rod.Scene, u: Array, case: Case) -> tuple[Array, str]:
+    """Shape (20, 3) of the equilibrium, and what was said against it; bent aside by the ``"spoil"`` of a case.
+
+    In parts of the length at the tip: a wrong answer, which the judge must not let pass.
+    """
     statics = scene.statics()
     statics.resolution.checked = -1.0  # a scene of its own for every case
     with warnings.catch_warnings(record=True) as said:
@@ -129,7 +132,9 @@ def _solved(scene: rod.Scene, u: Array) -> tuple[Array, str]:
     if not found.success or found.branch == "snapped":
         told.append(found.message)
     points = scene.rod.length * np.arange(1, POINTS + 1) / POINTS
-    return scene.fields(found.state, points)[:, :3], "; ".join(told)
+    shape = scene.fields(found.state, points)[:, :3]
+    shape[:, 0] += case.get("spoil", 0.0) * scene.rod.length * (points / scene.rod.length) ** 2
+    return shape, "; ".join(told)
 
 
 def judged(distance: float, told: str) -> dict[str, Any]:
@@ -157,7 +162,7 @@ def arm(case: Case) -> dict[str, Any]:
     weight = case["weight"] * stiffness / (body.mass_per_length * body.length**3) * np.array(case["direction"])
     force = case["tip"] * stiffness / body.length**2 * np.array(case["sideways"])
     pull = np.array(case["pull"]) * (stiffness / (body.length * 4e-3) if case["drive"] == "tension" else 4e-3)
-    return beside_path(scene, np.concatenate([weight, force, pull]))
+    return beside_path(scene, np.concatenate([weight, force, pull]), case)
 
 
 @cache
@@ -165,9 +170,9 @@ def _finer(scene: rod.Scene) -> rod.Scene:
     return scene.with_nodes([k + MORE for k in scene.element_nodes])
 
 
-def beside_path(scene: rod.Scene, u: Array) -> dict[str, Any]:
+def beside_path(scene: rod.Scene, u: Array, case: Case) -> dict[str, Any]:
     """The equilibrium of any scene under inputs ``u`` beside the fine path on more nodes."""
-    shape, told = _solved(scene, u)
+    shape, told = _solved(scene, u, case)
     finer = _finer(scene)
     state, part = followed(finer, u)
     if state is None:  # the path ends: there is no truth to be had but that it does

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from stress.random_scenes import Description
 
+#: Terms that bend a rod.
+LOADS = ("gravity", "tip force", "driven tip force", "distributed force", "tendons", "chambers")
 STRAINS = ("planar", "planar-cosserat", "kirchhoff", "extensible", "cosserat")
 
 
@@ -66,12 +68,16 @@ def terms() -> st.SearchStrategy[list[Description]]:
     return st.tuples(*optional).map(lambda found: [t for t in found if t is not None])
 
 
+def _bends(described: Description) -> TypeGuard[Description]:
+    return any(t["term"] in LOADS for t in described["terms"])
+
+
 def scenes() -> st.SearchStrategy[Description]:
-    """Any rod, terms and inputs within reason."""
+    """Any rod, terms and inputs within reason, something of which bends the rod."""
     return st.fixed_dictionaries(
         {
             "strains": st.sampled_from(STRAINS),
-            "nodes": st.integers(2, 4),
+            "nodes": st.integers(2, 7),
             "elements": st.sampled_from((1, 1, 1, 2)),
             "section": st.sampled_from(("circle", "circle", "tube", "tapered")),
             "length": logarithmic(0.02, 3.0),
@@ -85,7 +91,7 @@ def scenes() -> st.SearchStrategy[Description]:
             "pattern": st.sampled_from(("random", "ramp", "switch")),
             "inputs": st.integers(0, 999),
         }
-    )
+    ).filter(_bends)
 
 
 def drawn(number_of: int, seed: int) -> list[Description]:

@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 #: Error of an eigenvalue up to which a mode counts as resolved, likeness of shapes (cosine) from which modes are one,
 #: and difference of eigenvalues up to which they are the same.
 RESOLVED, ALIKE, SAME = 1e-2, 0.8, 1e-3
+#: Stiffness, in parts of the largest, up to which a motion costs nothing, and rate at which speeds fade, in parts of
+#: the first bending rate, up to which nothing resists them.
+COSTS_NOTHING, UNRESISTED = 1e-10, 1e-7
+#: Imaginary part of an eigenvalue, in parts of its size, that is rounding.
+ROUNDING = 1e-7
 #: Stations at which shapes are compared.
 POINTS = 21
 
@@ -33,6 +38,8 @@ POINTS = 21
 @dataclass(frozen=True)
 class NaturalModes:
     """Natural modes of the linear dynamics about an equilibrium, slowest first; one of each conjugate pair.
+
+    Motions that cost nothing (a base on joints) come once each, with a frequency of zero.
 
     Maxwell branches add as many modes that creep, at rates not far from 1/time, as they have states. These lie close
     together, so that no single one is found again on a finer grid (``error`` infinite).
@@ -97,9 +104,11 @@ def natural_modes(scene: Scene, state: ArrayLike, number: int | None = None) -> 
     """The slowest ``number`` modes (all when not given) of ``scene`` about an equilibrium ``state`` [xi, 0, u]."""
     x = finite_array(state, "state", (scene.n_states,)).copy()
     n = scene.n_strains
-    values, vectors = _eigen(scene, x)
+    values, vectors = _without_rigid(scene, x, *_eigen(scene, x))
+    real = np.abs(values.imag) <= ROUNDING * np.abs(values)  # two real ones that are the same come as a pair
+    values = np.where(real, values.real, values)
     kept = np.flatnonzero(values.imag >= 0.0)
-    kept = kept[np.argsort(np.abs(values[kept]))][: None if number is None else count(number, "number")]
+    kept = kept[np.argsort(np.abs(values[kept]), kind="stable")][: None if number is None else count(number, "number")]
     values, strains = values[kept].astype(np.complex128), vectors[:n, kept].T.astype(np.complex128)
     tips = strains @ _position_slope(scene, (scene.rod.length,), x).T
     largest = tips[np.arange(len(tips)), np.abs(tips).argmax(axis=1)]
@@ -126,6 +135,38 @@ def _eigen(scene: Scene, state: Array) -> tuple[NDArray[np.complex128], NDArray[
     both = np.kron(np.eye(blocks), basis)
     values, vectors = np.linalg.eig(both.T @ (made * unit / unit[:, None]) @ both)
     return values.astype(np.complex128), (unit[:, None] * (both @ vectors)).astype(np.complex128)
+
+
+def _without_rigid(
+    scene: Scene, state: Array, values: NDArray[np.complex128], vectors: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Eigenvalues (M,) and vectors (q, M) with one zero for every motion that costs nothing.
+
+    A place and a constant speed along it are a double eigenvalue of zero, of which rounding makes any small numbers:
+    they give way to the motions themselves, once each. Where something resists the speed it is a mode of its own.
+    """
+    rigid = _rigid(scene, state)
+    n, free = scene.n_strains, rigid.shape[1]
+    if not free:
+        return values, vectors
+    speeds = scene.linearise(state).A[n : 2 * n, n : 2 * n] @ rigid / scene.nominal_strains[:, None]
+    sizes = np.linalg.norm(rigid / scene.nominal_strains[:, None], axis=0)
+    resisted = int((np.linalg.svd(speeds / sizes, compute_uv=False) > UNRESISTED * scene.rod.bending_rate).sum())
+    order = np.argsort(np.abs(values))[2 * free - resisted :]
+    whole = np.vstack([rigid, np.zeros((vectors.shape[0] - n, free))]).astype(np.complex128)
+    return np.concatenate([np.zeros(free, dtype=np.complex128), values[order]]), np.hstack([whole, vectors[:, order]])
+
+
+def _rigid(scene: Scene, state: Array) -> Array:
+    """Coordinates (n_strains, r) of the motions of a rod on joints, with a free tip, that cost nothing."""
+    xi, u, balance = scene.static_balance
+    if not scene.n_joint or balance.holding is not None:
+        return np.zeros((scene.n_strains, 0))
+    strains, *_, inputs = scene.layout.split(state)
+    unit = scene.nominal_strains
+    slope = np.asarray(ca.Function("slope", [xi, u], [ca.jacobian(balance.residual, xi)])(strains, inputs))
+    found: Array = unit[:, None] * null_space(slope * unit / scene.nominal_residual[:, None], rcond=COSTS_NOTHING)
+    return found
 
 
 def _position_slope(scene: Scene, points: tuple[float, ...], state: Array) -> Array:

@@ -60,7 +60,8 @@ class MotionError:
         """First step after which the drift is more than ``share`` of the travel and ``least`` (m), or None.
 
         What both shapes differ by at the start is an error of the equilibrium or of the given state, which is told
-        there; motions of less than that are not judged.
+        there. Errors of less than ``least`` are not judged: that of a motion that travels less than ``least / share``
+        may be a larger part of it, and of one that travels less than ``least`` all of it (``of_travel`` tells).
         """
         above = np.flatnonzero(self.drift > max(share * self.travel, least))
         return int(above[0] - 1) if len(above) else None

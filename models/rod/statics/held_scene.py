@@ -13,6 +13,7 @@ from pisplit.checks import Array
 from pisplit.models.rod.answers import Unresolved
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.statics.boundary import FixedTip
+from pisplit.models.rod.statics.branch import LOST
 from pisplit.models.rod.statics.equilibrium import Equilibrium
 from pisplit.models.rod.statics.fixed_tip import FixedTipEquilibrium, after
 from pisplit.models.rod.statics.jointed import JointedScene
@@ -85,7 +86,7 @@ class HeldScene(Rebuilt):
         if start is not None:
             return self.fixed.solve(inputs, place, turn, 0.0, start, False, vector)
         free = self._loaded(inputs)
-        if free.branch in ("snapped", "unverified"):
+        if free.branch in ("snapped", *LOST):
             none = np.zeros(0)
             held = self._bare.solve(none, place, turn, 0.0, self._bare.scene.rest_coordinates, True, vector)
             if held.success and held.branch != "snapped":

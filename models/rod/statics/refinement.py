@@ -48,7 +48,8 @@ def grids(here: Resolution, state: Array) -> Iterator[tuple[Resolution, float]]:
     error, shares_in_error = here.judged(state)
     while True:
         scene = here.finer
-        counts = shares_in_error > COUNTS * shares_in_error.max(initial=0.0)
+        # Of strains that are exact no element has a share: the shape is what few nodes do not resolve.
+        counts = ~(shares_in_error <= COUNTS * shares_in_error.max(initial=0.0)) | (shares_in_error.max() == 0.0)
         if len(counts) == len(here.scene.element_nodes):  # nothing is cut at jumps in this round
             slow = error > SLOW * last and max(here.scene.element_nodes) >= CUT
             scene = _cut_further(here.scene, counts) if slow else _on_more(here, counts)
