@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from pisplit import Episodes
     from pisplit.models.arm.resting import RestShapes
+    from pisplit.observables import Tension
     from pisplit.pictures import Outline
 
 
@@ -153,6 +154,15 @@ class Arm:
 
         step = self.time_step if dt is None else dt
         return recorded(self, episodes, seed, steps, step, stations, path, workers, progress, law)
+
+    def tension(self, stations: int = 6) -> Tension:
+        """What its tendons feel of the fields at so many ``stations``: ``ReliftedEDMDc(tension=arm.tension())``.
+
+        Raises ValueError for arms of several sections and those on joints.
+        """
+        from pisplit.models.arm.stretch import tension
+
+        return tension(self, stations)
 
     def rest_shapes(
         self, number: int = 16, seed: int = 0, stations: int = 6, position_noise: float = 0.0, angle_noise: float = 0.0

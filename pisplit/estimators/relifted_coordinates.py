@@ -106,3 +106,29 @@ def product_table(components: int, inputs: int, leading: int, degree: int) -> ND
     found += [(i, j) for i in range(leading, components) for j in range(components, components + inputs)]
     one, width = components + inputs, max(degree, 2)
     return np.array([(*p, *(one,) * (width - len(p))) for p in found], dtype=np.int64).reshape(len(found), width)
+
+
+def kinked_table(
+    variables: int, leading: Sequence[int], softplus: int, gates: Sequence[tuple[int, ...]]
+) -> NDArray[np.int64]:
+    """Factors (P, 3) of products with kinks, which stand behind so many ``variables``.
+
+    The first ``softplus`` kinks are columns themselves. ``gates`` are positions of others among the kinks, one or two
+    in each: their product is a column, and so is it times each of the variables ``leading``. The number of variables
+    and kinks stands for 1.
+    """
+    kinks = softplus + max((i + 1 - softplus for g in gates for i in g), default=0)
+    one = variables + kinks
+    found = [(variables + k, one, one) for k in range(softplus)]
+    for gate in gates:
+        own = tuple(variables + k for k in gate) + (one,) * (2 - len(gate))
+        found += [(*own, v) for v in (one, *leading)]
+    return np.array(found, dtype=np.int64).reshape(len(found), 3)
+
+
+def joined_tables(products: NDArray[np.int64], kinked: NDArray[np.int64], one: int, new: int) -> NDArray[np.int64]:
+    """``products`` above ``kinked``, as wide as the wider; ``one`` stands for 1 in the first, ``new`` in the result."""
+    width = max(products.shape[1], kinked.shape[1])
+    first = np.where(products == one, new, products)
+    padded = [np.pad(t, ((0, 0), (0, width - t.shape[1])), constant_values=new) for t in (first, kinked)]
+    return np.asarray(np.vstack(padded))

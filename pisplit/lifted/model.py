@@ -347,7 +347,8 @@ class LiftedModel:
             parts |= {name: store.read_strings(file, name) for name in _UNITS if name in file}
             parts["N"] = np.asarray(file["N"][()]) if "N" in file else None
             if "relifted" in file:
-                arrays = {item.name: np.asarray(file[f"relifted/{item.name}"][()]) for item in fields(ReliftedTerm)}
+                names = [item.name for item in fields(ReliftedTerm) if f"relifted/{item.name}" in file]
+                arrays = {name: np.asarray(file[f"relifted/{name}"][()]) for name in names}
                 parts["relifted"] = ReliftedTerm(**arrays)
             return cls(
                 **parts,

@@ -15,6 +15,7 @@ from pisplit.observables.hinges import Hinge, Slack
 from pisplit.observables.polynomials import Polynomials
 from pisplit.observables.principal import Principal
 from pisplit.observables.radial import Radial
+from pisplit.observables.tension import Tension
 
 __all__ = [
     "Bilinear",
@@ -41,5 +42,6 @@ __all__ = [
     "StateMap",
     "States",
     "Sum",
+    "Tension",
     "compose",
 ]
