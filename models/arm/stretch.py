@@ -27,7 +27,7 @@ def tension(arm: Arm, stations: int = 6) -> ob.Tension:
     Raises ValueError for arms of several sections and those on joints.
     """
     arm.check_one_section("tension")
-    scene, term = arm.scene, arm.tendons
+    scene, term = arm.scene, arm.groups[0]
     count(stations, "stations")
     free, nodes, weights = scene.rod.strain_set.free, np.asarray(scene.rule.nodes), np.asarray(scene.rule.weights)
     m, n = scene.n_inputs, scene.n_strains

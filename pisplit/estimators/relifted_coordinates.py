@@ -119,7 +119,7 @@ def kinked_table(
     """
     kinks = softplus + max((i + 1 - softplus for g in gates for i in g), default=0)
     one = variables + kinks
-    found = [(variables + k, one, one) for k in range(softplus)]
+    found: list[tuple[int, ...]] = [(variables + k, one, one) for k in range(softplus)]
     for gate in gates:
         own = tuple(variables + k for k in gate) + (one,) * (2 - len(gate))
         found += [(*own, v) for v in (one, *leading)]
