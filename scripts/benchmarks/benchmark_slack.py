@@ -55,7 +55,7 @@ def main() -> None:
         report.figure(f"{name}, divergent roll-outs of {len(test)}", float(errors.diverged.sum()), "")
         report.figure(f"{name}, bounded", float(found.bounded_ is not False), "")
         report.figure(f"{name}, fit", time.process_time() - spent, "s")
-        print(report.figures[-4], flush=True)
+        print(f"{name}: {errors.median:.2g} m^2", flush=True)
     print(report)
     report.write(arguments.json)
 
