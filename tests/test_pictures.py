@@ -47,6 +47,7 @@ WITHOUT = {
             "StateMap",
             "Principal",
             "Radial",
+            "Tension",
             "Input",
             "Tendons",
             "Chambers",

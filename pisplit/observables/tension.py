@@ -28,6 +28,8 @@ class Tension:
             ``arm.tension(stations)``.
         widths: of the two softplus functions, in parts of the spread of the inputs.
         gate: width of the gates, in parts of that spread.
+
+    Raises ValueError for a function that is none of CasADi of one state, and for widths that are not positive.
     """
 
     function: ca.Function
