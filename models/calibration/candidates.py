@@ -99,20 +99,21 @@ class Candidates:
     def best_form(self, forms: Sequence[TendonArm]) -> int:
         """Number of the best candidate with none or all of the groups, of any of the ``forms``.
 
-        They are fitted roughly, the best of them to the end.
+        They are fitted roughly, the best of them to the end. Where all groups together made that form no better, they
+        are tried one by one.
         """
-        best = -1
+        best, alone = -1, False
         for arm in forms:
-            mine = self.fitted(arm, (), -1)
+            mine, worse_together = self.fitted(arm, (), -1), False
             if self.groups:
                 rich = self.fitted(arm, self.groups, mine)
                 if worth(self.tried[rich].gain, self.tried[rich].spread):
                     mine = rich
-                elif self.tried[rich].note or self.tried[rich].gain < 0.0:
-                    mine = self.grown(arm, mine)
+                else:
+                    worse_together = bool(self.tried[rich].note) or self.tried[rich].gain < 0.0
             if best < 0 or worth(*self.gain(mine, best)):
-                best = mine
-        return self.finished(best)
+                best, alone = mine, worse_together
+        return self.finished(self.grown(self.arms[best], best) if alone else best)
 
     def finished(self, best: int) -> int:
         """The rough candidate ``best``, fitted to the end in its place."""

@@ -77,7 +77,7 @@ def helps(
         )
     physical = [t.error for t in tried if t.name.startswith("PI") and np.isfinite(t.error)]
     data = [t.error for t in tried if not t.name.startswith("PI") and np.isfinite(t.error)]
-    if physical and data and min(physical) > min(data) and case.arm is not None:
+    if physical and data and min(physical) > min(data) and case.arm is not None and case.chosen is None:
         found.append("a better drawing: models from the recordings alone are ahead of those with the drawn physics")
     if not found:
         least = f"its error is {100 * last:.2g} % of the motion" if np.isfinite(last) else "nothing was held out"
