@@ -194,7 +194,7 @@ def _origin(provenance: Mapping[str, Any]) -> dict[str, Any]:
     if taken:
         found["screened_readings"] = taken
     jitter = [float(part["jitter"]) for part in parts if "jitter" in part]
-    return {**found, "s_jitter": max(jitter)} if jitter else found
+    return {**found, "s_jitter": round(max(jitter), 9)} if jitter else found  # rounding of times is none
 
 
 def _number(value: Any) -> str:
