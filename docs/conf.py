@@ -26,5 +26,6 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Index")}
+autodoc_type_aliases |= {"Tension": "pisplit.models.rod.Tension"}  # an observable has the same name
 python_use_unqualified_type_names = True
 napoleon_numpy_docstring = False
