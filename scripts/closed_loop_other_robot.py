@@ -4,6 +4,9 @@ Models learn from its recordings alone; a Kalman filter and the integrating dist
 follows a circle of 0.1 m in 4 s and stops on it. Kinds are L and B, models of commands; "L+told" and "B+told" are
 models of the positions behind servos whose lag and play are told, which MPC takes out of what it sends; with "+found"
 ``find_actuator`` looks for these in all recordings; "+play1.3" and "+lag2" tell 1.3 times the play and twice the lag.
+"S" is a model of simulated recordings of the calibrated arm and of the pairs (``fit_simulated``): the drawing over as
+many disks as the robot has is calibrated by 16 shapes at rest and the pairs, at most 16; its groups of parameters by
+four recordings that give no pairs. Its servos are those of the calibration.
 With ``--check`` numbers that recordings contradict are not taken (``choose_actuator``).
 """
 
@@ -14,6 +17,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import pickle
 import re
 import warnings
 from collections.abc import Callable
@@ -28,8 +32,11 @@ from pisplit import Actuator, BilinearEDMDc, Dictionary, Episodes, LinearEDMDc, 
 from pisplit import observables as ob
 from pisplit.checks import Array
 from pisplit.controllers import MPC, ClosedLoop, KalmanFilter, plants, references
+from pisplit.data.episodes import Pairs
 from pisplit.estimators.actuator_scan import positions
-from pisplit.models.arm import DiskRobot, disk_robot
+from pisplit.models.arm import DiskRobot, disk_robot, fit_simulated, simulated_recordings
+from pisplit.models.arm.disk_robot import PRESETS
+from pisplit.models.calibration import choose_calibration
 
 DT, HORIZON, SETTLED, DELAYS = 0.03, 20, 100, 3
 LIMITS = -0.014, 0.016, 0.002
@@ -38,8 +45,20 @@ EPISODES, STEPS, PAIRS = 20, 200, 128
 #: Steps after the stop, of which the last ones count.
 RESTING, AT_REST = 40, 15
 ESTIMATORS = {"L": LinearEDMDc, "B": BilinearEDMDc}
+#: Recordings that give no pairs to calibrations, steps of history of their pairs, the most of these, shapes at rest.
+HELD_OUT, HISTORY, CALIBRATED, SHAPES = 4, 4, 16, 16
 #: Ridge of the models by which servo numbers are checked.
 CHECKED = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A ``model``, the ``data`` of its filter, and the ``servo`` that it is behind, with the error of its play."""
+
+    model: Any
+    data: Episodes
+    servo: Actuator | None
+    play_error: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +126,54 @@ def checked(kind: str, data: Episodes, servo: Actuator | None, rest: Array) -> A
     return None if found.actuator == Actuator() else found.actuator
 
 
+def learned(kind: str, preset: int, data: Episodes, pairs: int | None, given: Any) -> Learned:
+    """A model of the ``kind`` from so many ``pairs`` of the recordings ``data`` of a robot, or from all there are."""
+    if kind == "S":
+        return calibrated(preset, data, pairs, given)
+    robot = disk_robot(preset)
+    rest = robot.arm.rest_inputs
+    estimator, _, how = kind.partition("+")
+    servo = servos(robot, data, how)
+    servo = checked(estimator, data, servo, rest) if given.check else servo
+    moved = data if servo is None else positions(data, servo, rest)
+    return Learned(fitted(estimator, moved, pairs, given.seed), moved[:1] if pairs else moved, servo)
+
+
+def calibrated(preset: int, data: Episodes, pairs: int | None, given: Any) -> Learned:
+    """A bilinear model of the calibrated arm, simulated, and of so many ``pairs``, or of all there are."""
+    robot, learn = disk_robot(preset), data[:-HELD_OUT]
+    drawn = learn.pairs(HISTORY).sample(min(pairs or CALIBRATED, CALIBRATED), given.seed)
+    file = given.out / f"calibration-{preset}-{len(drawn)}-{given.seed}.pkl"
+    if not file.exists():
+        spans = [(e, k - HISTORY, k + 1) for e, k in zip(drawn.episode.tolist(), drawn.index.tolist(), strict=True)]
+        found = choose_calibration(
+            robot.drawing,
+            learn,
+            robot.rest_shapes(SHAPES, given.seed),
+            data[-HELD_OUT:],
+            disks=(PRESETS[preset][0],),
+            spans=spans,
+        )
+        tqdm.write(str(found))
+        file.write_bytes(pickle.dumps(found))
+    found = pickle.loads(file.read_bytes())
+    kept = file.with_suffix(".h5")
+    sensors: dict[str, Any] = {"noise": robot.noise, "noise_angle": robot.noise_angle}
+    twin = simulated_recordings(found.arm, given.simulated, STEPS, DT, **sensors, path=kept)
+    moved = positions(data, found.actuator, robot.arm.rest_inputs)
+    theta = dictionary("B", moved)
+    few = None if pairs is None else of_recordings(moved, len(learn)).sample(pairs, given.seed)
+    error = next((e.error for e in found.calibration.estimates if e.name == "play"), None)
+    model = fit_simulated(theta, moved, twin, few)
+    return Learned(model, moved[:1] if pairs else moved, found.actuator, error)
+
+
+def of_recordings(data: Episodes, number: int) -> Pairs:
+    """Pairs of the first ``number`` recordings of ``data``."""
+    found = data.pairs(DELAYS)
+    return found.take(found.episode < number)
+
+
 def errors(true: Array, log: Any, stop: int) -> tuple[float, float, float]:
     """Of the true tip in mm: RMS on the circle once settled, RMS at rest at the end, and the largest of all."""
     missed = true[:, list(log.tracked)] - log.reference
@@ -122,16 +189,19 @@ def main() -> None:
     made = parser((__doc__ or "").splitlines()[0], "out/other_robot")
     made.add_argument("--presets", default="2", help="robots, separated by commas: 1 to 4")
     made.add_argument("--steps", type=int, default=170, help=f"steps of 30 ms until the tip stops for {RESTING} more")
-    made.add_argument("--kinds", default="B,L", help="models: L, B, and with servos B+told, B+found, B+lag2")
+    made.add_argument("--kinds", default="B,L", help="models: L, B, S, and with servos B+told, B+found, B+lag2")
     made.add_argument("--sizes", default=f"{PAIRS},all", help="pairs to learn from, and all")
     made.add_argument("--rate-weights", default="0.02", help="rate weights, separated by commas")
     made.add_argument("--gains", default="0.3", help="gains of the disturbance estimate")
+    made.add_argument("--simulated", type=int, default=24, help="recordings of the calibrated arm of S")
     made.add_argument("--check", action="store_true", help="take no servo numbers that recordings contradict")
     made.add_argument("--episodes", type=int, default=EPISODES)
     made.add_argument("--integrator", default="fast", choices=("fast", "idas"), help="that moves the robot")
     given = made.parse_args()
     if given.steps <= SETTLED:
         made.error(f"--steps {given.steps}; expected more than {SETTLED}, the steps before errors count")
+    if "S" in given.kinds.split(",") and (given.quick or given.episodes <= HELD_OUT):
+        made.error(f"S holds {HELD_OUT} recordings out; give more --episodes than that, and not --quick")
     given.out.mkdir(parents=True, exist_ok=True)
     report = Report.of("closed loops on the other robot, circle of 0.1 m in 4 s, then at rest on it", given)
     circle = references.circle(radius=0.1, period=4.0)
@@ -147,19 +217,16 @@ def main() -> None:
         tried = [(k, n) for k in given.kinds.split(",") for n in given.sizes.split(",")]
         for kind, size in tqdm(tried, desc=f"robot {preset}", unit="model"):
             pairs = None if size == "all" else int(size)
-            estimator, _, how = kind.partition("+")
-            servo = servos(robot, data, how)
-            servo = checked(estimator, data, servo, robot.arm.rest_inputs) if given.check else servo
-            moved = data if servo is None else positions(data, servo, robot.arm.rest_inputs)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                model = fitted(estimator, moved, pairs, given.seed)
-            observer = KalmanFilter.from_data(model, moved[:1] if pairs else moved, told)
+                made_of = learned(kind, preset, data, pairs, given)
+            observer = KalmanFilter.from_data(made_of.model, made_of.data, told)
             for weight, gain in settings:
                 few = f"{pairs} pairs" if pairs else f"{episodes} recordings"
                 label = f"{kind}, {few}, rate weight {weight:g}, gain {gain:g}"
                 numbers: dict[str, Any] = {"rate_weight": weight, "estimator_gain": gain, "observer": observer}
-                mpc = MPC(model, HORIZON, *LIMITS, **numbers, actuator=servo)
+                numbers |= {"actuator": made_of.servo, "play_error": made_of.play_error}
+                mpc = MPC(made_of.model, HORIZON, *LIMITS, **numbers)
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     total = given.steps + RESTING

@@ -20,6 +20,7 @@ if _TYPE_CHECKING:
     from pisplit.models.arm.predictor import ArmPredictor
     from pisplit.models.arm.recording import make_episodes, random_displacements
     from pisplit.models.arm.resting import RestShapes
+    from pisplit.models.arm.simulated import fit_simulated, simulated_recordings
     from pisplit.models.arm.static_table import EquilibriumTable, OutsideTable, equilibrium_table
     from pisplit.models.arm.twin import twin_alone, twin_dictionaries, twin_dictionary
 
@@ -33,6 +34,7 @@ _PLACES = {
     "pisplit.models.arm.predictor": "ArmPredictor",
     "pisplit.models.arm.recording": "make_episodes random_displacements",
     "pisplit.models.arm.resting": "RestShapes",
+    "pisplit.models.arm.simulated": "fit_simulated simulated_recordings",
     "pisplit.models.arm.static_table": "EquilibriumTable OutsideTable equilibrium_table",
     "pisplit.models.arm.twin": "twin_alone twin_dictionaries twin_dictionary",
 }
@@ -53,9 +55,11 @@ __all__ = [
     "disk_robot",
     "equilibrium_table",
     "fields_from_markers",
+    "fit_simulated",
     "make_episodes",
     "make_phase_samples",
     "random_displacements",
+    "simulated_recordings",
     "twin_alone",
     "twin_dictionaries",
     "twin_dictionary",

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.checks import Array, count, non_negative
+from pisplit.checks import Array, count
 from pisplit.data.actuator import Actuator
 from pisplit.models import rod
 from pisplit.models.arm.tendon_arm import TendonArm
-from pisplit.models.rod.analysis.fields import N_FIELDS, UNITS
+from pisplit.models.rod.analysis.fields import UNITS
 
 if TYPE_CHECKING:
     from pisplit import Episodes
@@ -157,15 +157,10 @@ class DiskRobot:
         return RestShapes(u[kept], y, max(self.noise.get("m", 0.0), 1e-4), max(self.noise_angle, 2e-3))
 
     def _measured(self, x: Array, units: NDArray[np.str_], rng: np.random.Generator) -> Array:
-        """States (T, n) of these ``units`` with noise; frames are turned, so that they stay rotations."""
-        std = np.array([non_negative(self.noise.get(unit, 0.0), f"noise of {unit!r}") for unit in units])
-        y = x + std * rng.standard_normal(x.shape)
-        fields = y.reshape(len(y), -1, N_FIELDS)  # a view
-        if self.noise_angle > 0.0:
-            from pisplit.models.arm.resting import turned
+        """States (T, n) of these ``units`` with noise."""
+        from pisplit.models.arm.simulated import seen_with_noise
 
-            fields[..., 3:12] = turned(fields[..., 3:12], self.noise_angle, rng)
-        return y
+        return seen_with_noise(x, units, self.noise, self.noise_angle, rng)
 
 
 def disk_robot(
