@@ -136,7 +136,7 @@ def learned(kind: str, preset: int, data: Episodes, pairs: int | None, given: An
     servo = servos(robot, data, how)
     servo = checked(estimator, data, servo, rest) if given.check else servo
     moved = data if servo is None else positions(data, servo, rest)
-    return Learned(fitted(estimator, moved, pairs, given.seed), moved[:1] if pairs else moved, servo)
+    return Learned(fitted(estimator, moved, pairs, given.seed + given.draw), moved[:1] if pairs else moved, servo)
 
 
 def calibrated(preset: int, data: Episodes, pairs: int | None, given: Any) -> Learned:
@@ -162,7 +162,7 @@ def calibrated(preset: int, data: Episodes, pairs: int | None, given: Any) -> Le
     twin = simulated_recordings(found.arm, given.simulated, STEPS, DT, **sensors, path=kept)
     moved = positions(data, found.actuator, robot.arm.rest_inputs)
     theta = dictionary("B", moved)
-    few = None if pairs is None else of_recordings(moved, len(learn)).sample(pairs, given.seed)
+    few = None if pairs is None else of_recordings(moved, len(learn)).sample(pairs, given.seed + given.draw)
     error = next((e.error for e in found.calibration.estimates if e.name == "play"), None)
     model = fit_simulated(theta, moved, twin, few)
     return Learned(model, moved[:1] if pairs else moved, found.actuator, error)
@@ -194,6 +194,7 @@ def main() -> None:
     made.add_argument("--rate-weights", default="0.02", help="rate weights, separated by commas")
     made.add_argument("--gains", default="0.3", help="gains of the disturbance estimate")
     made.add_argument("--simulated", type=int, default=24, help="recordings of the calibrated arm of S")
+    made.add_argument("--draw", type=int, default=0, help="draw of the pairs and of the noise in the loop")
     made.add_argument("--check", action="store_true", help="take no servo numbers that recordings contradict")
     made.add_argument("--episodes", type=int, default=EPISODES)
     made.add_argument("--integrator", default="fast", choices=("fast", "idas"), help="that moves the robot")
@@ -213,7 +214,7 @@ def main() -> None:
         file = given.out / f"d1-{preset}-{episodes}-{given.seed}.h5"
         data = Episodes.load(file) if file.exists() else robot.record(episodes, given.seed, STEPS, DT, path=file)
         told = {**robot.noise, "1": robot.noise_angle}
-        plant = around(robot, given.seed, given.integrator)
+        plant = around(robot, given.seed + given.draw, given.integrator)
         tried = [(k, n) for k in given.kinds.split(",") for n in given.sizes.split(",")]
         for kind, size in tqdm(tried, desc=f"robot {preset}", unit="model"):
             pairs = None if size == "all" else int(size)
