@@ -56,7 +56,7 @@ def test_a_few_pairs_and_a_twin_predict_better_than_either(arm: TendonArm, twin:
     theta = Dictionary(ob.Constant(), ob.Identity(), ob.Bilinear(), n_states=72, n_inputs=3)
     pairs = real[:4].pairs(0).sample(16, 0)
     found = fit_simulated(theta, real[:4], twin[1], pairs)
-    assert found.alpha_ == pytest.approx(8 * 60 / (40.0 * 16))
+    assert found.alpha_ == pytest.approx(8 * 60 / (8.0 * 16))
     alone = BilinearEDMDc(theta, "cv", penalty="ridge").fit(real[:4], pairs)
     errors = [ps.horizon_errors(model, real[4:], [16], "shape").normalised[0] for model in (found, alone)]
     assert errors[0] < 0.5 * errors[1]

@@ -22,7 +22,7 @@ from pisplit.models.arm.twin import OMIT
 from pisplit.models.rod.analysis.fields import N_FIELDS
 
 #: How many simulated pairs a recorded one stands for.
-WEIGHT = 40.0
+WEIGHT = 8.0
 #: Ridge of the regression, in parts of the mean variance of the columns.
 RIDGE = 1e-5
 
