@@ -118,7 +118,8 @@ def run_large(case: Case, strains: str, nodes: int, stages: int, substeps: int, 
     """Large checked Radau steps, ``substeps`` of them between outputs."""
     label = f"K={nodes}, order {2 * stages - 1}, step {1e3 * case.span / case.outputs / substeps:.3g} ms"
     mover = _large(case, strains, nodes, stages, substeps, compiled)
-    return _timed(case, mover, f"pisplit large steps{', compiled' if compiled else ''}", label)
+    notes = (", plane" if strains.startswith("planar") else "") + (", compiled" if compiled else "")
+    return _timed(case, mover, f"pisplit large steps{notes}", label)
 
 
 # What moves a case is kept: rounds and settings share its functions.
@@ -285,9 +286,7 @@ def run_reference(case: Case, strains: str, nodes: int, rtol: float) -> Run:
     slope = ca.vertcat(x[n:], scene.acceleration(x[:n], x[n:], u))
     rate = ca.Function("rate", [x, u], [slope])
     jacobian = ca.Function("jacobian", [x, u], [ca.jacobian(slope, x)])
-    rest = np.zeros(2 * n)
-    if strains == "cosserat":
-        rest[:n].reshape(nodes, 6)[:, 5] = 1.0
+    rest = np.concatenate([scene.rest_coordinates, np.zeros(n)])
     scale = np.concatenate([scene.nominal_strains, scene.nominal_strains * scene.rod.bending_rate])
 
     def f(t: float, y: Array) -> Array:
