@@ -20,6 +20,7 @@ import numpy as np
 from pisplit.models.rod.equations.balance import Balance
 from pisplit.models.rod.kinematics.gauss import Array
 from pisplit.models.rod.kinematics.kinematics import Motion
+from pisplit.models.rod.kinematics.rotations import turning_coefficients
 from pisplit.models.rod.kinematics.strains import rotation_vector, turn_rows
 
 
@@ -61,10 +62,7 @@ class Turn:
     @cached_property
     def _coefficients(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """t^2, a and b."""
-        square = ca.dot(self.omega, self.omega) + 1e-12
-        half = 0.5 * ca.sqrt(square)
-        ratio = ca.sin(half) / half
-        return square, 0.5 * ratio * ratio, (1.0 - ratio * ca.cos(half)) / square
+        return turning_coefficients(self.omega)
 
     @cached_property
     def rates(self) -> tuple[ca.SX, ca.SX]:

@@ -44,3 +44,15 @@ def rotation_about_y(angle: ca.SX) -> ca.SX:
     matrix[0, 2] = s
     matrix[2, 0] = -s
     return matrix
+
+
+def turning_coefficients(omega: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """t^2, a = (1 - cos t) / t^2 and b = (t - sin t) / t^3 of a rotation vector (3,) in rad, with t = |omega|.
+
+    exp(hat(omega)) turns by dexp(omega) omega_t = omega_t + a omega x omega_t + b omega x (omega x omega_t) in the
+    frame before it. t is smoothed at zero as ``exponential`` does. ``omega`` is this vector.
+    """
+    square = ca.dot(omega, omega) + 1e-12
+    half = 0.5 * ca.sqrt(square)
+    ratio = ca.sin(half) / half
+    return square, 0.5 * ratio * ratio, (1.0 - ratio * ca.cos(half)) / square

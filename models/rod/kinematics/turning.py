@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from pisplit.models.rod.kinematics.rotations import rotation_matrix
+from pisplit.models.rod.kinematics.rotations import rotation_matrix, turning_coefficients
 from pisplit.models.rod.kinematics.strains import rotation_vector, turn_rows
 
 if TYPE_CHECKING:
@@ -72,10 +72,7 @@ def _turning(parts: ca.SX) -> ca.SX:
     symbol = ca.SX.sym("parts", *parts.shape)
     omega = rotation_vector(symbol)
     omega, slope = ca.substitute([omega, ca.jacobian(omega, ca.vec(symbol))], [symbol], [parts])
-    square = ca.dot(omega, omega) + 1e-12
-    half = 0.5 * ca.sqrt(square)
-    ratio = ca.sin(half) / half
-    a, b = 0.5 * ratio * ratio, (1.0 - ratio * ca.cos(half)) / square
+    square, a, b = turning_coefficients(omega)
     # 1 + a hat(omega) + b hat(omega)^2, where hat(omega)^2 = omega omega^T - |omega|^2
     dexp = (1.0 - b * square) * ca.SX.eye(3) + ca.skew(a * omega) + (b * omega) @ omega.T
     return dexp @ slope
