@@ -200,16 +200,17 @@ class Statics(Rebuilt):
                 are loaded from nothing, as all are when not given.
             threads: chunks solved side by side, -1 for one a core; the numbers are the same.
             compiled: whether by machine code, which is made first: five times faster, the same numbers. By default
-                where there is a compiler and enough rows to gain by it.
+                where there is a compiler and enough rows to gain by it. Tips that are held and bases on joints, whose
+                rows are followed one by one, use neither threads nor machine code.
 
         Raises ValueError for arrays of another shape or with entries that are not finite.
         """
         rows = self.scene.checked_inputs(inputs, "U", (None, self.scene.n_inputs))
         states = None if near is None else finite_array(near, "near", (len(rows), self.scene.n_states))
+        side_by_side = (os.cpu_count() or 1) if threads == -1 else count(threads, "threads")
         if self.held is not None or self.jointed is not None:
             return one_by_one(self, rows, states, False, progress)
         serving = by_machine(self, compiled, len(rows))
-        side_by_side = (os.cpu_count() or 1) if threads == -1 else count(threads, "threads")
         found = solve_rows(serving, rows, states, chunk, progress, side_by_side)
         return found if serving is self else replace(found, scene=self.scene)
 
