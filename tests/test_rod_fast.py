@@ -109,6 +109,19 @@ def test_calls_of_any_length_take_the_same_steps() -> None:
     np.testing.assert_allclose(singles, whole.x[1:], rtol=1e-9, atol=1e-9)
 
 
+def test_a_call_ends_with_the_first_interval_that_does_not_pass_and_goes_on_behind_it() -> None:
+    of = arm()
+    u = np.vstack([usual(of, 8), harsh(of, 1), usual(of, 40)])
+    plant = of.scene.fast_stepper(DT)
+    whole = plant.run(u, rest(of), check=False)
+    assert 8 in whole.fallbacks["halved"]
+    cut = max(whole.fallbacks["halved"]) + 1
+    assert cut < len(u)
+    first = plant.run(u[:cut], rest(of), check=False)
+    second = plant.run(u[cut:], first.x[-1], check=False)
+    np.testing.assert_allclose(np.vstack([first.x, second.x[1:]]), whole.x, rtol=1e-12, atol=1e-12)
+
+
 def test_rough_commands_are_finished_and_named() -> None:
     of = arm()
     u = np.vstack([usual(of, 5), harsh(of)])

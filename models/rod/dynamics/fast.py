@@ -29,11 +29,8 @@ CORRECTIONS = (3, 6)
 CONVERGED = 1e-3
 #: Defect at the start of a step up to which it is taken: see ``FastStepper``.
 SMALL_DEFECT = 0.01
-#: Lengths of calls, in steps; each is built once. None is longer than what passed since a step that did not: the rest
-#: of a call is lost there.
-CALLS = (16, 4, 1)
-#: A command bends sharply where it bends so many times as much as the median one.
-SHARP = 10.0
+#: Control intervals that one call takes, at most: it ends with the first that does not pass.
+CALL = 32
 #: How often a control interval is halved before IDAS takes it.
 MAX_HALVINGS = 9
 #: Error, in parts of the largest one allowed, below which the next step is twice as long.
@@ -59,7 +56,7 @@ class _Taken:
 
 
 class FastStepper(Stepper):
-    """Motion of a scene in few large Radau steps, up to 16 of them in one CasADi call: for data, loops and predictions.
+    """Motion of a scene in few large Radau steps, up to 32 of them in one CasADi call: for data, loops and predictions.
 
     Every step starts from zero accelerations and takes three to six Newton corrections with one matrix. The last one
     and its defect, what the balance misses at the start of the step in terms of strains, say whether it is taken: the
@@ -140,8 +137,8 @@ class FastStepper(Stepper):
         return Buffered(self.one)
 
     @cached_property
-    def _calls(self) -> dict[int, Buffered]:
-        """``([x, u], commands) -> [x, u], [x; correction; defect]`` of as many control intervals as the key says."""
+    def _interval(self) -> ca.Function:
+        """``([x, u], command) -> [x, u], [x; correction; defect], passes`` of one control interval."""
         layout = self.equations.layout
         state, command = ca.MX.sym("state", layout.size), ca.MX.sym("command", layout.n_inputs)
         x, before, sizes = state[layout.moving], state[layout.inputs], []
@@ -149,12 +146,26 @@ class FastStepper(Stepper):
             u0, u1 = (before + (command - before) * ((k + j) / self.substeps) for j in (0, 1))
             x, *found = self.one(x, u0, u1, self.dt / self.substeps)
             sizes.append(found)
-        # a sum, unlike a maximum, passes NaN on
+        # a sum, unlike a maximum, passes NaN on, and nothing is as small as NaN
         correction, defect = (sum(column) for column in zip(*sizes, strict=True))
-        interval = ca.Function(
-            "interval", [state, command], [ca.vertcat(x, command), ca.vertcat(x, correction, defect)]
-        )
-        return {size: Buffered(interval.mapaccum(size)) for size in CALLS}
+        passes = ca.logic_and(correction <= CONVERGED * self.substeps, defect <= SMALL_DEFECT * self.substeps)
+        results = [ca.vertcat(x, command), ca.vertcat(x, correction, defect), passes]
+        return ca.Function("interval", [state, command], results)
+
+    @cached_property
+    def _calls(self) -> dict[int, Buffered]:
+        """One interval and ``CALL`` of them: ``([1, x, u], [1, commands]) -> [passes, x, u], [x; correction; defect]``.
+
+        Intervals behind one that does not pass, and those with 0 before their command, are not taken.
+        """
+        layout = self.equations.layout
+        state, command = ca.MX.sym("state", layout.size), ca.MX.sym("command", layout.n_inputs)
+        skipped = ca.Function("skipped", [state, command], [state, ca.MX.inf(layout.n_moving + 2), ca.MX(0)])
+        either = ca.Function.if_else("either", self._interval, skipped)
+        at, asked = ca.MX.sym("at", 1 + layout.size), ca.MX.sym("asked", 1 + layout.n_inputs)
+        end, row, passes = either(at[0] * asked[0], at[1:], asked[1:])
+        step = ca.Function("step", [at, asked], [ca.vertcat(passes, end), row])
+        return {size: Buffered(step.mapaccum(size)) for size in (1, CALL)}
 
     @cached_property
     def _idas(self) -> Simulator:
@@ -199,21 +210,16 @@ class FastStepper(Stepper):
             return super()._as_far_as_possible(start, commands, energy)
         layout = self.scene.layout
         taken = self._last = _Taken()
-        x, before, passed, depth = start[layout.moving], start[layout.inputs], CALLS[0], 0
-        stops = _kinks(before, commands)
+        x, before, depth = start[layout.moving], start[layout.inputs], 0
         while len(taken.rows) < len(commands) and not taken.message:
             k = len(taken.rows)
-            alone = k in stops
-            ahead = 1 if alone else stops[np.searchsorted(stops, k)] - k
-            size = next(c for c in CALLS if c <= min(max(passed, 1), ahead))
-            good, whole, halves = self._together(taken, x, before, commands[k : k + size])
+            ahead = commands[k : k + CALL]
+            good, whole, halves = self._together(taken, x, before, ahead)
             if good:
-                x, before = taken.rows[-1], commands[k + good - 1]
-            if good < size:
-                depth = self._alone(taken, x, before, commands[k + good], max(depth, halves), whole)
-                x, before = taken.rows[-1] if taken.rows else x, commands[k + good]
-            if not alone:
-                passed = passed + size if good == size else 0
+                x, before = taken.rows[-1], ahead[good - 1]
+            if good < len(ahead):
+                depth = self._alone(taken, x, before, ahead[good], max(depth, halves), whole)
+                x, before = taken.rows[-1] if taken.rows else x, ahead[good]
         stats = {"nsteps": taken.steps, "halved": len(taken.halved), "idas": len(taken.idas)}
         return np.array(taken.rows).reshape(len(taken.rows), layout.n_moving), stats, taken.message
 
@@ -224,11 +230,21 @@ class FastStepper(Stepper):
         least.
         """
         moving, size = self.scene.layout.moving, len(commands)
+        length = 1 if size == 1 else CALL
+        asked = np.zeros((length, 1 + commands.shape[1]))
+        asked[:size, 0], asked[:size, 1:] = 1.0, commands
         try:
-            _, found = self._calls[size](np.concatenate([x, before]), commands)
+            _, found = self._calls[length](np.concatenate([[1.0], x, before]), asked)
         except RuntimeError:  # a singular matrix, somewhere
-            return 0, None, 0
-        rows = found.reshape(size, -1).copy()
+            if size == 1:
+                return 0, None, 0
+            half = size // 2
+            good, whole, halves = self._together(taken, x, before, commands[:half])
+            if good < half:
+                return good, whole, halves
+            more, whole, halves = self._together(taken, taken.rows[-1], commands[half - 1], commands[half:])
+            return half + more, whole, halves
+        rows = found.reshape(length, -1)[:size].copy()
         states, corrections, defects = rows[:, moving], rows[:, -2], rows[:, -1]
         with np.errstate(invalid="ignore"):
             passes = (corrections <= CONVERGED * self.substeps) & (defects <= SMALL_DEFECT * self.substeps)
@@ -338,14 +354,3 @@ class FastStepper(Stepper):
             return found
         fallbacks = {"halved": tuple(taken.halved), "IDAS": tuple(taken.idas)}
         return replace(found, step_errors=np.array(taken.errors), fallbacks=fallbacks)
-
-
-def _kinks(before: Array, commands: Array) -> Array:
-    """Intervals at whose start the ``commands`` (T, n_inputs), from ``before`` on, bend sharply, and T at the end.
-
-    Inputs move linearly from command to command: most steps that do not pass begin where their slope jumps.
-    """
-    slopes = np.diff(np.vstack([before, commands]), axis=0, prepend=before[None])
-    jumps = np.linalg.norm(np.diff(slopes, axis=0), axis=1)
-    sharp = jumps > max(SHARP * float(np.median(jumps)), float(jumps.max(initial=0.0)) / SHARP**2)
-    return np.append(np.flatnonzero(sharp), len(commands))
