@@ -62,12 +62,12 @@ if _TYPE_CHECKING:
     from pisplit.lifted.formats import to_numpy as to_numpy
     from pisplit.lifted.formats import to_state_space as to_state_space
     from pisplit.lifted.model import LiftedModel as LiftedModel
-    from pisplit.lifted.model import Rollout as Rollout
     from pisplit.lifted.modes import Modes as Modes
     from pisplit.lifted.modes import modes as modes
     from pisplit.lifted.radius import stabilised as stabilised
     from pisplit.lifted.reduction import Reduction as Reduction
     from pisplit.lifted.reduction import balanced_truncation as balanced_truncation
+    from pisplit.lifted.rollout import Rollout as Rollout
     from pisplit.lifted.sensitivity import input_jacobian as input_jacobian
     from pisplit.lifted.sensitivity import rollout_jacobian as rollout_jacobian
     from pisplit.models.arm import RestShapes as RestShapes
@@ -101,7 +101,8 @@ _PLACES = {
     "pisplit.generator": "HalfStep Spectrum generator_edmd generator_spectrum half_step",
     "pisplit.lifted.foreign": "from_state_space",
     "pisplit.lifted.formats": "to_c_header to_control to_numpy to_state_space",
-    "pisplit.lifted.model": "LiftedModel Rollout",
+    "pisplit.lifted.model": "LiftedModel",
+    "pisplit.lifted.rollout": "Rollout",
     "pisplit.lifted.modes": "Modes modes",
     "pisplit.lifted.radius": "stabilised",
     "pisplit.lifted.reduction": "Reduction balanced_truncation",

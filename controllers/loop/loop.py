@@ -26,8 +26,8 @@ from pisplit.controllers.loop.swinging import swinging
 from pisplit.controllers.loop.tracking import Controller, Move, start_input
 from pisplit.controllers.loop.wiring import wire
 from pisplit.controllers.references import Reference
+from pisplit.lifted.rollout import DIVERGENCE_FACTOR
 
-DIVERGENCE_FACTOR = 1e3
 #: The run that last used a plant or a controller: another loop must not go on with what it left.
 _LAST: WeakKeyDictionary[Any, object] = WeakKeyDictionary()
 FAR = 3.0  # times the training range beyond which a reference is taken for one in another unit

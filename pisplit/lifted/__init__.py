@@ -4,10 +4,11 @@ Roll-outs, operators in physical units, export to other tools, spectral radius, 
 """
 
 from pisplit.lifted.formats import to_c_header, to_control, to_numpy, to_state_space
-from pisplit.lifted.model import LiftedModel, Rollout
+from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.modes import Modes, modes
 from pisplit.lifted.radius import limited_radius, stabilised
 from pisplit.lifted.reduction import Reduction, balanced_truncation
+from pisplit.lifted.rollout import Rollout
 from pisplit.lifted.sensitivity import input_jacobian, rollout_jacobian
 
 __all__ = [

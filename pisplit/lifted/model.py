@@ -22,6 +22,8 @@ from pisplit.data.rows import frozen, refrozen
 from pisplit.dictionary.products import BilinearTerm, Transition, runs, span
 from pisplit.lifted.propagation import propagate, propagate_bilinear, propagate_relifted
 from pisplit.lifted.relifting import ReliftedTerm
+from pisplit.lifted.rollout import Rollout
+from pisplit.lifted.signature import check_signature, units_of
 from pisplit.mapping import Mapped
 from pisplit.threads import one_blas_thread
 
@@ -31,30 +33,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 KIND = "pisplit/lifted-model"
-DIVERGENCE_FACTOR = 1e3
-
-
-@brief
-@dataclass(frozen=True)
-class Rollout:
-    """Open-loop prediction of one episode, or of E episodes (leading axis E on every field).
-
-    x            (T+1, n) states; from the step of divergence on they hold the last admissible value
-    z            (T+1, M) lifted states as computed (after divergence they may overflow)
-    diverged     True if z overflowed or a state left 1e3 times the training range; (E,) of episodes
-    diverged_at  first such step, or None; (E,) of episodes, -1 for "never"
-    """
-
-    x: Array
-    z: Array
-    diverged: bool | NDArray[np.bool_]
-    diverged_at: int | NDArray[np.int64] | None
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """The six states that move most over the steps; written to ``path`` where one is given."""
-        from pisplit.lifted.pictures import plot_rollout
-
-        return plot_rollout(self, path)
 
 
 @brief
@@ -125,11 +103,11 @@ class LiftedModel:
             if given != (columns, columns + m):
                 raise ValueError(f"relifted is of {given} rows and variables; expected {(columns, columns + m)}")
         for name, size in (("state_units", n), ("input_units", m)):
-            object.__setattr__(self, name, _units(getattr(self, name), name, size))
+            object.__setattr__(self, name, units_of(getattr(self, name), name, size))
         positive(self.dt, "dt", "s")
         history = (n, self.n_delays + 1), (m, self.n_delays)
-        _check_signature(self.lift_function, "lift_function", history, columns)
-        _check_signature(self.input_function, "input_function", ((m, 1),), features)
+        check_signature(self.lift_function, "lift_function", history, columns)
+        check_signature(self.input_function, "input_function", ((m, 1),), features)
         for name, indices in self.outputs.items():
             if any(not 0 <= i < n for i in indices):
                 raise ValueError(f"outputs[{name!r}] = {tuple(indices)}; expected state indices from 0 to {n - 1}")
@@ -415,15 +393,7 @@ class LiftedModel:
                 propagate_bilinear(self._transition, self.bilinear_term, z, inputs)
             else:
                 propagate(self._transition, z)
-            x = self._read(z).transpose(1, 0, 2)
-            z = z.transpose(1, 0, 2)
-            within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range
-            admissible = np.all(np.isfinite(z), axis=2) & np.all(within, axis=2)
-        at = np.where(admissible.all(axis=1), -1, np.argmin(admissible, axis=1))
-        x = np.array(x, order="C")  # apart from z, which a slice would share
-        for episode in np.flatnonzero(at >= 0):
-            x[episode, at[episode] :] = x[episode, max(at[episode] - 1, 0)]
-        return Rollout(x=x, z=z, diverged=at >= 0, diverged_at=at.astype(np.int64))
+            return Rollout.of(self._read(z).transpose(1, 0, 2), z.transpose(1, 0, 2), self.state_range)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Eigenvalues of A and step responses per unit of input; written to ``path`` where one is given."""
@@ -436,21 +406,3 @@ _ARRAYS = ("A", "B", "c", "C", "d", "input_offset", "input_basis", "state_range"
 _FUNCTIONS = ("lift_function", "input_function")
 _NAMES = ("state_names", "input_names", "column_names", "feature_names")
 _UNITS = ("state_units", "input_units")
-
-
-def _units(given: Sequence[str] | None, what: str, size: int) -> tuple[str, ...]:
-    units = ("",) * size if given is None else tuple(given)
-    if len(units) != size or not all(isinstance(unit, str) for unit in units):
-        raise ValueError(f'{what} = {given!r}; expected {size} texts, "" where the unit is not known')
-    return units
-
-
-def _check_signature(function: ca.Function, name: str, shapes: tuple[tuple[int, int], ...], rows: int) -> None:
-    if not isinstance(function, ca.Function):
-        raise ValueError(f"{name} is a {type(function).__name__}; expected a casadi.Function")
-    given = tuple(function.size_in(i) for i in range(function.n_in()))
-    if given != shapes or function.n_out() != 1 or function.size_out(0) != (rows, 1):
-        raise ValueError(
-            f"{name} maps {given} to {[function.size_out(i) for i in range(function.n_out())]}; "
-            f"expected {shapes} to [({rows}, 1)]"
-        )

@@ -14,9 +14,10 @@ from pisplit.pictures.figures import LINES, MEASURED, below, keep, labelled, new
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pisplit.lifted.model import LiftedModel, Rollout
+    from pisplit.lifted.model import LiftedModel
     from pisplit.lifted.modes import Modes
     from pisplit.lifted.reduction import Reduction
+    from pisplit.lifted.rollout import Rollout
 
 Path = str | os.PathLike[str] | None
 #: Steps after which a model that comes to rest does.

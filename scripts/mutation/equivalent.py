@@ -366,9 +366,9 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "both ways of stepping give the same; which one is faster depends on the number of episodes",
     ),
     Equivalent(
-        "pisplit/lifted/model.py",
-        "within = np.abs(x) <= DIVERGENCE_FACTOR * self.state_range",
-        "within = np.abs(x) < DIVERGENCE_FACTOR * self.state_range",
+        "pisplit/lifted/rollout.py",
+        "within = np.abs(x) <= DIVERGENCE_FACTOR * state_range",
+        "within = np.abs(x) < DIVERGENCE_FACTOR * state_range",
         "a state that equals the limit exactly",
     ),
     Equivalent(
