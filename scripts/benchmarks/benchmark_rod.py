@@ -2,12 +2,13 @@
 
 Motion: a clamped rod under a tip load that ramps up and stays, once soft (E = 1 MPa, r = 1 cm) and once steel
 (E = 207 GPa, r = 1 mm). PyElastica (``pip install pisplit[bench]``) runs with its largest stable step, and with its
-clamp, which is first order, moved by half an element. All codes share the load, the shear correction and a drag
-proportional to mass; the method of lines (numpy + scipy BDF) is plane, and so are runs that say so; all others are
+clamp, which is first order, moved by half an element. Exudyn (``pip install exudyn``) runs with the elements, steps and
+Newton settings that serve it best on each rod (``rod_exudyn.py``). All codes share the load, the shear correction and a
+drag proportional to mass; the method of lines (numpy + scipy BDF) is plane, and so are runs that say so; all others are
 spatial. Errors are the largest distance of the tip from a reference by Radau of order 5 on 8 nodes, in parts of the
 largest travel of the tip. Codes are compared at equal error along their fronts (fastest run at each error),
 interpolated between runs. Every code has a process of its own; all take turns in five rounds, warm; times are medians,
-and the least beside them.
+and the least beside them. Plane codes are compared with Exudyn by their least times.
 
 Rest: the same rods under the full load. Errors are the distance of the tip from the exact answer, in parts of L.
 PyElastica has no static solver (it would relax a damped motion); peers are a numpy shooting method and ``solve_bvp``.
@@ -38,6 +39,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.rod_exudyn import SETTINGS, run_exudyn
 from benchmarks.rod_peers import (
     SOFT,
     STEEL,
@@ -63,6 +65,10 @@ PLANE = {"soft": "planar-cosserat", "steel": "planar"}
 ROUNDS = (1, 5)
 #: Errors at which codes are compared, and how many times faster than PyElastica the rod shall be there.
 GOALS = {"soft": (3e-4, 5.0), "steel": (1e-3, 500.0)}
+#: Errors at which plane codes are compared with Exudyn, and the goals there.
+PLANE_GOALS = {1e-3: 1.0, 3e-4: 5.0, 1.7e-4: 1.0}
+#: Codes that come with a package of their own: its import name, and how to get it.
+PEERS = {"PyElastica": ("elastica", "pyelastica"), "Exudyn": ("exudyn", "exudyn")}
 COLOURS = {
     "pisplit IDAS": ("#1b6ca8", "o"),
     "pisplit IDAS, direct": ("#8ab8d8", "o"),
@@ -76,6 +82,7 @@ COLOURS = {
     "pisplit": ("#1b6ca8", "o"),
     "pisplit, plane": ("#0f9d76", "D"),
     "PyElastica": ("#d95f02", "s"),
+    "Exudyn, plane": ("#b03a5b", "d"),
     "numpy + scipy BDF, plane": ("#7a7a7a", "^"),
     "numpy shooting (RK4), plane": ("#7a7a7a", "^"),
     "scipy solve_bvp, plane": ("#a05195", "v"),
@@ -94,6 +101,7 @@ def motion_jobs(case: Case, quick: bool) -> dict[str, list[Callable[[], Run]]]:
             "large": [partial(large, k, 2, 1) for k in (3, 4)],
             "large, plane": [partial(plane, k, 2, 1) for k in (3, 4)],
             "PyElastica": [partial(run_elastica, case, n, 4 if case is STEEL else None) for n in (20, 50)],
+            "Exudyn": [partial(run_exudyn, case, *setting) for setting in SETTINGS[case.name][::4]],
             "lines": [partial(run_lines, case, 10, 1e-4)] if case is SOFT else [],
         }
     tolerances, fewer = (1e-3, 3e-4, 1e-4, 3e-5), (1e-3, 1e-4, 3e-5)
@@ -109,15 +117,17 @@ def motion_jobs(case: Case, quick: bool) -> dict[str, list[Callable[[], Run]]]:
         "large, plane": [partial(plane, k, *step) for k in (3, 4, 5, 6) for step in steps],
         "large, plane, compiled": [partial(plane, k, *step, True) for k in (3, 4, 5, 6) for step in steps],
         "PyElastica": [partial(run_elastica, case, n) for n in ((10, 20, 50, 100) if case is SOFT else (10, 20, 50))],
+        "Exudyn": [partial(run_exudyn, case, *setting) for setting in SETTINGS[case.name]],
         "lines": [partial(run_lines, case, n, 1e-4) for n in (10, 20, 40)],
     }
 
 
-def measure_motion(case: Case, quick: bool, only: list[str]) -> list[tuple[Run, float]]:
+def measure_motion(case: Case, quick: bool, only: list[str], rounds: int) -> list[tuple[Run, float]]:
     """Runs of a case with their errors: codes with one of ``only`` in the name, in processes of their own, in turns."""
     reference = run_reference(case, STRAINS[case.name], *((6, 1e-5) if quick else (8, 1e-6)))
-    rounds = ROUNDS[0 if quick else 1]
+    missing = [code for code, (package, _) in PEERS.items() if find_spec(package) is None]
     jobs = {code: runs for code, runs in motion_jobs(case, quick).items() if runs and any(o in code for o in only)}
+    jobs = {code: runs for code, runs in jobs.items() if code not in missing}
     found: dict[tuple[str, int], list[Run]] = {}
     fresh = get_context("spawn")  # nothing of one code is loaded where another runs
     with ExitStack() as stack:
@@ -155,10 +165,10 @@ def measure_rest(case: Case, quick: bool) -> list[Solve]:
 def motion_table(case: Case, rows: list[tuple[Run, float]]) -> str:
     """One line a run, from the least to the largest error of each code."""
     lines = [f"{case.name} rod in motion: F L^2/EI = {case.load:g}, {case.span:g} s simulated"]
-    lines.append(f"  {'code':<32}{'setting':<32}{'ms per 0.03 s':>14}{'least':>10}{'error':>10}")
+    lines.append(f"  {'code':<38}{'setting':<56}{'ms per 0.03 s':>14}{'least':>10}{'error':>10}")
     for run, off in sorted(rows, key=lambda row: (row[0].code, row[1])):
         times = f"{per_interval(case, run.seconds):>14.3f}{per_interval(case, run.least):>10.3f}"
-        lines.append(f"  {run.code:<32}{run.setting:<32}{times}{off:>10.1e}{run.note}")
+        lines.append(f"  {run.code:<38}{run.setting:<56}{times}{off:>10.1e}{run.note}")
     return "\n".join(lines)
 
 
@@ -196,7 +206,7 @@ def time_at(points: list[tuple[float, float]], limit: float) -> float:
 def compare(report: Report, case: Case, rows: list[tuple[Run, float]]) -> None:
     """Times of all codes at the error of the goal, and how many times faster than PyElastica they are."""
     limit, factor = GOALS[case.name]
-    points = {code: [(per_interval(case, r.seconds), e) for r, e in rows if r.code == code] for code in codes(rows)}
+    points = points_of(case, rows)
     if "PyElastica" not in points:
         return
     peer = time_at(points["PyElastica"], limit)
@@ -215,6 +225,29 @@ def compare(report: Report, case: Case, rows: list[tuple[Run, float]]) -> None:
     if own:
         name = f"{case.name}: best without compiler, times faster than PyElastica at error {limit:g}"
         report.figure(name, peer / float(np.nanmin(own)), "", (">=", factor))
+
+
+def compare_plane(report: Report, case: Case, rows: list[tuple[Run, float]]) -> None:
+    """Least times of plane codes at three errors, and how many times faster than Exudyn ours are there."""
+    points = points_of(case, rows, least=True)
+    peer = points.get("Exudyn, plane")
+    if peer is None:
+        return
+    for limit, factor in PLANE_GOALS.items():
+        theirs = time_at(peer, limit)
+        report.figure(f"{case.name}: Exudyn, plane, at error {limit:g}", theirs, "ms per 0.03 s")
+        for code in ("pisplit large steps, plane", "pisplit large steps, plane, compiled"):
+            own = time_at(points.get(code, []), limit)
+            if np.isfinite(own):
+                report.figure(f"{case.name}: {code}, at error {limit:g}", own, "ms per 0.03 s")
+                name = f"{case.name}: {code}, times faster than Exudyn at error {limit:g}"
+                report.figure(name, theirs / own, "", None if "compiled" in code else (">=", factor))
+
+
+def points_of(case: Case, rows: list[tuple[Run, float]], least: bool = False) -> dict[str, list[tuple[float, float]]]:
+    """(ms per 0.03 s, error) of the runs of every code, by the median of all rounds or the ``least`` time."""
+    times = [(r.code, per_interval(case, r.least if least else r.seconds), e) for r, e in rows]
+    return {code: [(time, e) for name, time, e in times if name == code] for code in codes(rows)}
 
 
 def codes(rows: list[tuple[Run, float]]) -> list[str]:
@@ -240,9 +273,7 @@ def draw(motion: dict[str, list[tuple[Run, float]]], rest: dict[str, list[Solve]
     figure, axes = plt.subplots(2, len(motion), figsize=(6.6 * len(motion), 9.4), constrained_layout=True)
     for column, (name, rows) in zip(axes.T, motion.items(), strict=True):
         case = SOFT if name == "soft" else STEEL
-        lines_of(
-            column[0], {c: [(per_interval(case, r.seconds), e) for r, e in rows if r.code == c] for c in codes(rows)}
-        )
+        lines_of(column[0], points_of(case, rows))
         column[0].axhline(GOALS[name][0], color="k", lw=0.7, ls=":")
         column[0].set(
             title=f"{name} rod in motion (lines: fronts; dotted: error of the goal)",
@@ -259,17 +290,21 @@ def draw(motion: dict[str, list[tuple[Run, float]]], rest: dict[str, list[Solve]
 def main() -> None:
     made = parser(__doc__ or "")
     made.add_argument("--only", nargs="*", default=[""], help="codes whose names have one of these in them")
+    made.add_argument("--rounds", type=int, help="in which all codes take turns: 5, or 1 with --quick")
     arguments = made.parse_args()
-    if find_spec("elastica") is None:
-        made.error("PyElastica is not installed; get it by: pip install pyelastica")
+    for code, (package, source) in PEERS.items():
+        if find_spec(package) is None:
+            print(f"{code} is left out: it is not installed; get it by: pip install {source}")
+    rounds = arguments.rounds or ROUNDS[0 if arguments.quick else 1]
     report = Report.of("rod against peers", arguments)
     motion, rest = {}, {}
     for case in (SOFT, STEEL):
         rest[case.name] = measure_rest(case, arguments.quick)
-        motion[case.name] = measure_motion(case, arguments.quick, arguments.only)
+        motion[case.name] = measure_motion(case, arguments.quick, arguments.only, rounds)
         print(rest_table(case, rest[case.name]))
         print(motion_table(case, motion[case.name]))
         compare(report, case, motion[case.name])
+        compare_plane(report, case, motion[case.name])
         for code in dict.fromkeys(r.code for r in rest[case.name]):
             at = time_at([(1e3 * r.seconds, r.error) for r in rest[case.name] if r.code == code], 1e-6)
             report.figure(f"{case.name} at rest: {code}, at error 1e-6 L", at, "ms")
