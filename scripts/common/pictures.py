@@ -21,6 +21,7 @@ from common.drawing import save_figure
 from pisplit.controllers import LoopLog
 from pisplit.files import replacing
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.output.pictures import frame_3d
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,7 @@ def smooth_backbone(points: Array, n: int = 40) -> Array:
 def draw_shapes(log: LoopLog, stations: int, path: Path, title: str) -> None:
     """Shapes of the arm over time, coloured by time, with the path of the tip."""
     backbone = shapes(log, stations)
-    figure = plt.figure(figsize=(8.5, 7.5), constrained_layout=True)
+    figure = plt.figure(figsize=(7.0, 7.5), constrained_layout=True)
     axis = figure.add_subplot(projection="3d")
     colours = plt.get_cmap("viridis")
     chosen = np.linspace(0, len(backbone) - 1, 24).astype(int)
@@ -110,7 +111,7 @@ def draw_shapes(log: LoopLog, stations: int, path: Path, title: str) -> None:
         axis.plot(*line.T, color=colours(k / len(backbone)), lw=1.6, alpha=0.9)
     tip = 1e3 * backbone[:, -1]
     axis.plot(*tip.T, color="k", lw=0.9, label="tip")
-    _frame(axis, 1e3 * backbone)
+    frame_3d(axis, 1e3 * backbone.reshape(-1, 3))
     axis.set_title(title)
     axis.legend(loc="upper left")
     scale = plt.cm.ScalarMappable(cmap=colours, norm=plt.Normalize(0.0, float(log.t[-1])))
@@ -122,16 +123,16 @@ def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 8
     """GIF of the arm following the reference, at half of real time or faster; axes are drawn once for all frames."""
     backbone = 1e3 * shapes(log, stations)
     chosen = np.linspace(0, len(backbone) - 1, frames).astype(int)
-    figure = Figure(figsize=(6.0, 5.6), dpi=80)
+    figure = Figure(figsize=(4.4, 5.6), dpi=80)
     canvas = FigureCanvasAgg(figure)
-    axis: Any = figure.add_subplot(projection="3d")
-    _frame(axis, backbone)
+    axis: Any = figure.add_axes((0.0, 0.02, 0.9, 0.95), projection="3d")
+    frame_3d(axis, backbone.reshape(-1, 3))
     wanted = 1e3 * log.reference
     height = np.where(np.isnan(wanted[:, 2]), backbone[:, -1, 2], wanted[:, 2])
     axis.plot(wanted[:, 0], wanted[:, 1], height, "k--", lw=0.8)
     (line,) = axis.plot([], [], [], color="#1b6ca8", lw=3.0)
     (trace,) = axis.plot([], [], [], color="#1b6ca8", lw=0.9, alpha=0.6)
-    said = figure.text(0.5, 0.94, "", ha="center")
+    said = figure.text(0.5, 0.96, "", ha="center")
     canvas.draw()
     still = canvas.copy_from_bbox(figure.bbox)  # drawn before there was data to move
     pages = []
@@ -147,12 +148,3 @@ def animate(log: LoopLog, stations: int, path: Path, title: str, frames: int = 8
     pages = [page.quantize(palette=colours, dither=Image.Dither.NONE) for page in pages]
     with replacing(path) as part, open(part, "wb") as file:
         pages[0].save(file, "GIF", save_all=True, append_images=pages[1:], duration=round(1e3 / RATE), loop=0)
-
-
-def _frame(axis: Any, points: Array) -> None:
-    low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
-    middle, half = 0.5 * (low + high), 0.55 * float(np.max(high - low))
-    for name, m in zip("xyz", middle, strict=True):
-        getattr(axis, f"set_{name}lim")(m - half, m + half)
-        getattr(axis, f"set_{name}label")(f"{name} (mm)")
-    axis.view_init(elev=22, azim=-60)
