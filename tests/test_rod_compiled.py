@@ -6,12 +6,13 @@ import pickle
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pisplit.models import rod
-from pisplit.models.arm import TendonArm, make_episodes
+from pisplit.models.arm import TendonArm, make_episodes, make_phase_samples
 from pisplit.models.rod.output import compiled, paying, processor
 
 STEEL = rod.Elastic(207e9, 207e9 / 2.6, 8000.0)
@@ -236,10 +237,26 @@ def test_machine_code_is_made_where_a_run_gains_by_it(cache: Path, monkeypatch: 
     twin.solve_many(rows[:5])  # it is there already
     assert paying.pays("auto", 30, lambda: [twin.residual_function])
     assert not paying.pays("auto", 30, lambda: [arm(nodes=3).statics().residual_function])
-    with pytest.raises(ValueError, match="compiled = 'yes'; expected True, False or 'auto'"):
-        statics.solve_many(rows, compiled="yes")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="threads"):
         statics.solve_many(rows, threads=0)
+
+
+@pytest.mark.parametrize("wrong", ["yes", None, 2, 0, np.zeros(3)])
+def test_other_values_of_compiled_are_refused_wherever_they_would_have_no_part(wrong: Any, tmp_path: Path) -> None:
+    """On scenes that are compiled, held or jointed already, and before anything is simulated."""
+    free = arm(nodes=2)
+    held = rod.Scene(free.rod, rod.HeldTip(position=(0.0, 0.0, 0.99 * free.rod.length)), nodes=2)
+    jointed = rod.Scene(free.rod, rod.Base(hinge=(0, 1, 0), stiffness=1.0), nodes=2)
+    told = "^compiled = .*; expected True, False or 'auto'$"
+    for scene in (free, compiled.CompiledScene.of(free), held, jointed):
+        with pytest.raises(ValueError, match=told):
+            scene.statics().solve_many(np.zeros((1, scene.n_inputs)), compiled=wrong)
+    paper = TendonArm.paper()
+    with pytest.raises(ValueError, match=told):
+        make_episodes(paper, tmp_path / "a.h5", 1, steps=2, compiled=wrong)
+    with pytest.raises(ValueError, match=told):
+        make_phase_samples(paper, tmp_path / "b.h5", 2, rates=np.zeros((3, 15)), compiled=wrong)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_long_run_without_a_compiler_says_nothing(

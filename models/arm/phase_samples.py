@@ -20,7 +20,7 @@ from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.arm.recording import ATTEMPTS, arm_origin, labels, random_targets
 from pisplit.models.rod.output.compiled import CompiledScene
-from pisplit.models.rod.output.paying import IDAS_STEP, Compiled, pays
+from pisplit.models.rod.output.paying import IDAS_STEP, Compiled, checked_compiled, pays
 from pisplit.models.rod.statics.machine import by_machine
 
 SAMPLES_PER_BLOCK = 500
@@ -146,6 +146,7 @@ def make_phase_samples(
         compiled: integrate the flow, and solve for shapes, by machine code (:func:`make_episodes`).
     """
     count(samples, "samples")
+    checked_compiled(compiled)
     identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt)
     machine = _compile(compiled, arm, arm.backbone if known is None else known, samples, dt, workers)
     n = arm.scene.n_strains

@@ -21,7 +21,7 @@ from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.analysis.fields import UNITS, Fields
 from pisplit.models.rod.output.compiled import CompiledScene
-from pisplit.models.rod.output.paying import IDAS_STEP, STEP, Compiled, pays
+from pisplit.models.rod.output.paying import IDAS_STEP, STEP, Compiled, checked_compiled, pays
 
 #: Steps between two random targets of the displacements. On the paper's arm at dt = 0.03 s, 16 makes the motion about
 #: the equilibrium as large as that of the equilibrium itself; 8 is three times as violent, 24 nearly quasi-static.
@@ -170,6 +170,7 @@ def make_episodes(
             provenance, ``fallback_steps``.
     """
     count(episodes, "episodes")
+    checked_compiled(compiled)
     checked_actuator(actuator)
     identity = episodes_origin(arm, steps, dt, rtol, stations, seed, law, actuator, method)
     task = EpisodeTask(arm, *(identity[name] for name in ("steps", "dt", "rtol", "stations", "seed", "law")))

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 
 #: What ``compiled`` arguments may be.
 Compiled = bool | Literal["auto"]
@@ -19,6 +20,21 @@ LOOKING = 5_000
 STEP, IDAS_STEP, EQUILIBRIUM = 4.0, 15.0, 6.0
 
 
+def checked_compiled(compiled: Compiled) -> Compiled:
+    """``compiled`` if it is what it may be, whether or not anything depends on it.
+
+    Args:
+        compiled: True, False or "auto".
+
+    Raises ValueError for anything else.
+    """
+    if isinstance(compiled, str) and compiled == "auto":
+        return "auto"
+    if not isinstance(compiled, bool | np.bool_):
+        raise ValueError(f"compiled = {compiled!r:.60}; expected True, False or 'auto'")
+    return bool(compiled)
+
+
 def pays(compiled: Compiled, jacobians: float, functions: Callable[[], Sequence[ca.Function]]) -> bool:
     """Whether a run is faster with machine code, what it takes to make it included.
 
@@ -30,10 +46,9 @@ def pays(compiled: Compiled, jacobians: float, functions: Callable[[], Sequence[
 
     Raises ValueError for another ``compiled``.
     """
-    if compiled != "auto":
-        if not isinstance(compiled, bool):
-            raise ValueError(f"compiled = {compiled!r}; expected True, False or 'auto'")
-        return compiled
+    wanted = checked_compiled(compiled)
+    if wanted != "auto":
+        return wanted
     if jacobians < LOOKING:
         return False
     from pisplit.models.rod.output.compiled import NoMachineCode, compiler, kept  # slow to load

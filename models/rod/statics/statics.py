@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pisplit.checks import Array, count, finite_array, real_array
 from pisplit.mapping import Mapped
 from pisplit.models.rod.equations.tangent import PoseSensitivity, Stability, Tangent, checked_state, stability
-from pisplit.models.rod.output.paying import Compiled
+from pisplit.models.rod.output.paying import Compiled, checked_compiled
 from pisplit.models.rod.scene import Scene
 from pisplit.models.rod.sharing import Rebuilt, in_turn
 from pisplit.models.rod.statics.boundary import FixedTip
@@ -203,8 +203,11 @@ class Statics(Rebuilt):
                 where there is a compiler and enough rows to gain by it. Tips that are held and bases on joints, whose
                 rows are followed one by one, use neither threads nor machine code.
 
-        Raises ValueError for arrays of another shape or with entries that are not finite.
+        Raises ValueError for arrays of another shape or with entries that are not finite, and for other values of the
+        rest, used or not.
         """
+        checked_compiled(compiled)
+        count(chunk, "chunk")
         rows = self.scene.checked_inputs(inputs, "U", (None, self.scene.n_inputs))
         states = None if near is None else finite_array(near, "near", (len(rows), self.scene.n_states))
         side_by_side = (os.cpu_count() or 1) if threads == -1 else count(threads, "threads")
