@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import one_of, positive, real_array
-from pisplit.data import clock, late_commands, recording_checks, resampling, screening, unit_changes, wraps
+from pisplit.data import (
+    clock,
+    exchanges,
+    late_commands,
+    recording_checks,
+    resampling,
+    screening,
+    shifted_rows,
+    unit_changes,
+    wraps,
+)
 from pisplit.data.columns import default_names, labels, table_columns
 from pisplit.data.resampling import BRIDGED, Signal
 from pisplit.data.units import columns_to_si
@@ -100,10 +110,12 @@ def from_arrays(
         labels(fields["input_names"], "input_names", default_names("inputs", inputs.shape[1])),
     ]
     members = clock.runs(episode, times)
+    shifted_rows.check_rows(np.hstack([states, inputs]), times, members)
     screened = screening.screened(times, states, inputs, members, names[0], screen)
     states = screened.states
     wraps.say(times, states, members, names[0])
     unit_changes.say(times, states, members, names[0])
+    exchanges.say(times, np.hstack([states, inputs]), members, [*names[0], *names[1]])
     if ranges:
         recording_checks.check_ranges(ranges, [*names[0], *names[1]], np.hstack([states, inputs]), times)
     shift = asked if isinstance(asked, float) else 0.0

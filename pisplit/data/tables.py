@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pisplit.data import cells, headers, merging
+from pisplit.data import cells, headers, merging, shifted_rows
 from pisplit.data.joining import Table, from_columns
 from pisplit.data.patterns import Paths, files_of
 from pisplit.data.text import DELIMITERS, rows_of, text_of
@@ -256,6 +256,7 @@ def _samples(
     """Line and wanted cells of every line below the header that holds something; what a line lacks is empty."""
     size = len(header.columns)
     found: list[tuple[int, list[str]]] = []
+    counts: list[tuple[int, int, int]] = []
     names = [header.columns[i][-1] for i in where]
     blank, widest = False, 0
     last = -1 if text.endswith(("\n", "\r")) else len(text.splitlines())
@@ -269,7 +270,8 @@ def _samples(
                 break
             if any(row[size:]):
                 raise ValueError(f"{path}, line {line} has {len(row)} cells; the header has {size}")
-            if line == last and len(row) < size:
+            cut = line == last and len(row) < size
+            if cut:
                 row = row[:-1]  # a logger that was killed left part of a number
             widest = max(widest, len(row))
             chosen = [row[i] if i < len(row) else "" for i in where]
@@ -278,6 +280,9 @@ def _samples(
             if chosen == names and len(set(names)) == len(names):
                 raise ValueError(f"{path}, line {line} repeats the header: several files in one; cut it there")
             found.append((line, chosen))
+            if not cut:
+                counts.append((line, len(row), shifted_rows.filled(row)))
+        shifted_rows.check(path, counts, mark, lambda: rows_of(text, mark))
     except ValueError as error:
         text = str(error)
         raise ValueError(text if text.startswith(str(path)) else f"{path} is no table: {text}") from None

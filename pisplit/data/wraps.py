@@ -25,7 +25,7 @@ def say(times: Array, states: Array, members: Mapping[str, Index], names: Sequen
     """Warn of what jumps in ``states`` (N, n) at ``times`` (N,) [s], in the runs ``members``, by ``names`` (n,)."""
     runs = [rows for rows in members.values() if len(rows) > 3]
     for i, name in enumerate(names):
-        found = [rows[k] for rows in runs for k in _wraps(states[rows, i])]
+        found = [rows[k] for rows in runs for k in wraps_of(states[rows, i])]
         if found:
             before, after = states[found[0] - 1, i], states[found[0], i]
             warn(
@@ -45,8 +45,8 @@ def say(times: Array, states: Array, members: Mapping[str, Index], names: Sequen
                 )
 
 
-def _wraps(values: Array) -> list[int]:
-    """Positions in ``values`` (N,) that come right after a wrap."""
+def wraps_of(values: Array) -> list[int]:
+    """Positions in ``values`` (N,), N > 3, that come right after a wrap of an angle or a counter."""
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 4:
         return []
