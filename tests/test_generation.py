@@ -235,6 +235,22 @@ def test_xdot_is_how_the_simulated_passive_arm_begins_to_move(tmp_path: Path) ->
             assert np.abs(d2.xdot[k] - slope)[rows].max() < 2e-5 * scale, quantity
 
 
+def test_flows_of_the_known_part_are_the_same_by_large_steps_and_by_idas(
+    arm: TendonArm, moves: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    made = [
+        make_phase_samples(arm, tmp_path / f"{method}.h5", 6, moves[1], moves[0], dt=0.03, method=method, **SMALL)
+        for method in ("fast", "idas")
+    ]
+    fast, idas = (np.asarray(d2.x_half) for d2 in made)
+    np.testing.assert_array_equal(made[0].x, made[1].x)
+    kinds = np.array(arm.scene.field_map(STATIONS).quantities)
+    for kind in "pRwq":
+        rows = kinds == kind
+        assert np.abs(fast - idas)[:, rows].max() < 2e-3 * np.abs(idas - made[1].x)[:, rows].max(), kind
+    assert made[0].provenance != made[1].provenance
+
+
 def test_phase_samples_depend_on_their_seed_only_and_survive_their_file(
     arm: TendonArm, moves: tuple[np.ndarray, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,6 +356,7 @@ def test_bad_episodes_are_refused_in_one_line_before_anything_is_written(
         ({"rates": np.full((10, 9), np.nan)}, "NaN"),
         ({"deviations": np.zeros((10, 3))}, "deviations"),
         ({"seed": "x"}, "seed"),
+        ({"method": "euler"}, "method"),
     ],
 )
 def test_bad_phase_samples_are_refused_in_one_line_before_anything_is_written(

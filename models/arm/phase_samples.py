@@ -14,16 +14,20 @@ import joblib
 import numpy as np
 
 from pisplit import Episodes, PhaseSamples
-from pisplit.checks import Array, count, finite_array, positive
+from pisplit.checks import Array, count, finite_array, one_of, positive
 from pisplit.models import rod
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
-from pisplit.models.arm.recording import ATTEMPTS, arm_origin, labels, random_targets
+from pisplit.models.arm.recording import ATTEMPTS, METHODS, arm_origin, labels, random_targets
 from pisplit.models.rod.output.compiled import CompiledScene
-from pisplit.models.rod.output.paying import IDAS_STEP, Compiled, checked_compiled, pays
+from pisplit.models.rod.output.paying import Compiled, checked_compiled, pays
 from pisplit.models.rod.statics.machine import by_machine
 
 SAMPLES_PER_BLOCK = 500
+#: Relative tolerance of IDAS for a flow.
+FLOW_RTOL = 1e-4
+#: Evaluations of a Jacobian, or what costs as much, by the flow of one sample: it starts anywhere, with fast modes.
+FLOW = {"fast": 20.0, "idas": 80.0}
 
 
 def phase_origin(
@@ -35,13 +39,16 @@ def phase_origin(
     deviations: Array | None = None,
     known: rod.Scene | None = None,
     dt: float | None = None,
+    method: str = METHODS[0],
 ) -> dict[str, Any]:
     """All that decides the samples of ``make_phase_samples``, whose arguments these are, but their number.
 
     It is part of their provenance. Raises ValueError for a known part with inputs or with other strains than the arm.
 
-    ``arm``, ``rates``, ``stations``, ``seed``, ``law``, ``deviations``, ``known`` and ``dt`` are these arguments.
+    ``arm``, ``rates``, ``stations``, ``seed``, ``law``, ``deviations``, ``known``, ``dt`` and ``method`` are these
+    arguments.
     """
+    one_of(method, "method", METHODS)
     n = arm.scene.n_strains
     if known is not None and (known.n_inputs or known.n_strains != n):
         raise ValueError(
@@ -59,6 +66,7 @@ def phase_origin(
         "deviations": None if deviations is None else _digest(finite_array(deviations, "deviations", (None, n))),
         "known": (arm.backbone if known is None else known).fingerprint(stations),
         "flow": None if dt is None else 0.5 * positive(dt, "dt", "s"),
+        "flow_method": None if dt is None else method,
     }
 
 
@@ -67,7 +75,8 @@ class PhaseTask:
     """Static shapes under random displacements with random rates: the work of one block of D2.
 
     Its attributes follow from arguments of ``make_phase_samples``: arm, samples (of a block), rate_factor and
-    shape_factor (n, n) (roots of the covariances of rates and of deviations), stations, seed, law, known, dt, compiled.
+    shape_factor (n, n) (roots of the covariances of rates and of deviations), stations, seed, law, known, dt, compiled,
+    method.
     """
 
     arm: Arm
@@ -80,6 +89,7 @@ class PhaseTask:
     known: rod.Scene | None = None
     dt: float | None = None
     compiled: bool = False
+    method: str = METHODS[0]
 
     def __call__(self, k: int) -> Block:
         """Block ``k``: fields, inputs, passive derivative of the fields."""
@@ -102,7 +112,7 @@ class PhaseTask:
         x, xdot = (np.asarray(v).T for v in derivative.map(self.samples)(states.T))
         block = {"x": x, "u": states[:, scene.layout.inputs], "xdot": xdot, "failures": np.array(failures, dtype=str)}
         if self.dt is not None:
-            flown = _flow(known, states, 0.5 * self.dt, self.compiled)
+            flown = _flow(known, states, 0.5 * self.dt, self.compiled, self.method)
             block["x_half"] = scene.fields(flown, self.stations).reshape(self.samples, -1)
         return block
 
@@ -121,6 +131,7 @@ def make_phase_samples(
     known: rod.Scene | None = None,
     dt: float | None = None,
     compiled: Compiled = "auto",
+    method: str = METHODS[0],
 ) -> PhaseSamples:
     """Sample the phase space of the passive arm, store the samples at ``path`` (HDF5) and return them.
 
@@ -144,18 +155,18 @@ def make_phase_samples(
         known: the arm as far as f knows it, without inputs (default: all but the tendons and Maxwell branches).
         dt: time step in s; with it the samples hold the flow of f over half of it, one integration each.
         compiled: integrate the flow, and solve for shapes, by machine code (:func:`make_episodes`).
+        method: what integrates the flow, "fast" or "idas" (:func:`make_episodes`).
     """
     count(samples, "samples")
     checked_compiled(compiled)
-    identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt)
-    machine = _compile(compiled, arm, arm.backbone if known is None else known, samples, dt, workers)
+    identity = phase_origin(arm, rates, stations, seed, law, deviations, known, dt, method)
+    machine = _compile(compiled, arm, arm.backbone if known is None else known, samples, dt, workers, method)
     n = arm.scene.n_strains
     factor = _gaussian_factor(rates, "rates", n)
     shape_factor = None if deviations is None else _gaussian_factor(deviations, "deviations", n)
-    task = PhaseTask(
-        arm, min(samples, SAMPLES_PER_BLOCK), factor, shape_factor, stations, identity["seed"], law, known, dt, machine
-    )
-    identity["block"] = task.samples
+    block = min(samples, SAMPLES_PER_BLOCK)
+    task = PhaseTask(arm, block, factor, shape_factor, stations, identity["seed"], law, known, dt, machine, method)
+    identity["block"] = block
     parts = f"{os.fspath(path)}.parts"
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     blocks = run_blocks(task, -(-samples // task.samples), parts, identity, workers, "phase samples", progress)
@@ -178,16 +189,18 @@ def make_phase_samples(
     return result
 
 
-def _compile(compiled: Compiled, arm: Arm, known: rod.Scene, samples: int, dt: float | None, workers: int) -> bool:
+def _compile(
+    compiled: Compiled, arm: Arm, known: rod.Scene, samples: int, dt: float | None, workers: int, method: str
+) -> bool:
     """Whether the flow of ``known`` over half of ``dt`` is machine code; what pays is made here once."""
     share = samples / joblib.effective_n_jobs(workers)
     by_machine(arm.scene.statics(), compiled, share)
     if dt is None:
         return False
     twin = CompiledScene.of(known)
-    flows = pays(compiled, IDAS_STEP * share, lambda: [f for _, made in twin.to_compile(6) for f in made])
+    flows = pays(compiled, FLOW[method] * share, lambda: [f for _, made in twin.to_compile(6) for f in made])
     if flows:
-        _flow_simulator(known, 0.5 * dt, True)
+        _flow_mover(known, 0.5 * dt, True, method)
     return flows
 
 
@@ -258,13 +271,13 @@ def _derivative(scene: rod.Scene, known: rod.Scene, stations: int) -> ca.Functio
     return ca.Function("known", [x], [y, ca.jtimes(y, x, flow)])
 
 
-def _flow(known: rod.Scene, states: Array, t: float, compiled: bool) -> Array:
+def _flow(known: rod.Scene, states: Array, t: float, compiled: bool, method: str) -> Array:
     """States (N, n) after ``t`` seconds of the known part alone; the displacements in them stay."""
-    simulator = _flow_simulator(known, t, compiled)
-    n = known.layout.n_moving
+    mover = _flow_mover(known, t, compiled, method)
+    n, check = known.layout.n_moving, None if method == "idas" else False  # each large step carries its own
     flown = states.copy()
     for row in flown:
-        trajectory = simulator.run(np.zeros((1, 0)), row[:n])
+        trajectory = mover.run(np.zeros((1, 0)), row[:n], check=check)
         if not trajectory.success:
             raise RuntimeError(f"the flow of the known part failed: {trajectory.message}")
         row[:n] = trajectory.x[-1, :n]
@@ -272,5 +285,6 @@ def _flow(known: rod.Scene, states: Array, t: float, compiled: bool) -> Array:
 
 
 @lru_cache(maxsize=2)
-def _flow_simulator(known: rod.Scene, t: float, compiled: bool) -> Any:
-    return (known.compile() if compiled else known).simulator(dt=t, rtol=1e-4)
+def _flow_mover(known: rod.Scene, t: float, compiled: bool, method: str) -> Any:
+    scene = known.compile() if compiled else known
+    return scene.fast_stepper(dt=t) if method == "fast" else scene.simulator(dt=t, rtol=FLOW_RTOL)
