@@ -78,3 +78,21 @@ def test_only_drag_that_is_weak_is_left_out_of_the_iteration_matrix() -> None:
             assert left_out <= 1e-12 * np.abs(moving).max()
         else:
             assert 0.0 < 0.03 * left_out < 0.01 * np.abs(mass).max()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_large_steps_are_as_many_without_the_derivative_of_a_weak_drag(share: float) -> None:
+    """Up to half of the inertia at the first bending rate; nothing is left out above that."""
+    body = rod.Rod(0.4, rod.Circle(1e-2), rod.Elastic(1e6, 3e5, 1e3))
+    drag = rod.LinearDrag(share * body.bending_rate * body.mass_per_length)
+    assert drag.weak(body) is (share < 0.5)
+    scene = rod.Scene(
+        body, drag, rod.KelvinVoigt(bending=1e-3, torsion=1e-3), rod.TipWrench(rod.Input("f", 3)), nodes=4
+    )
+    dt = 0.1 / body.bending_rate
+    u = 0.1 * np.sin(np.arange(1, 25)[:, None] * [0.06, 0.11, 0.0])
+    found = scene.fast_stepper(dt).run(u, np.zeros(scene.n_states), check=False)
+    exact = scene.simulator(dt, rtol=1e-7).run(u, np.zeros(scene.n_states), check=False)
+    assert found.stats["halved"] == 0
+    n = scene.n_strains
+    assert np.abs(found.x - exact.x)[:, :n].max() < 2e-3 * np.abs(exact.x[:, :n]).max()

@@ -26,7 +26,7 @@ def motion_residual(scene: Scene, *, shared: bool = False) -> ca.Function:
 
     The Jacobian takes the inertia forces as dead loads: how they change with shape and rate is left out (it scales with
     the square of an integrator's step), how they stiffen the shape is not. Drag that is weak beside inertia is left out
-    too: a quarter of the operations for a thousandth of the matrix.
+    too: a quarter to a third of the operations.
     """
     n = scene.n_strains
     xi, xi_t, xi_tt, u, full = scene.dynamic_balance
