@@ -13,6 +13,7 @@ from common.report import Report
 from pisplit.models import rod
 from pisplit.models.arm.recording import random_differential
 from pisplit.models.arm.tendon_arm import TendonArm
+from pisplit.models.rod.statics.flutter import Flutter
 
 #: Tip (across, along) in parts of L of the inextensible elastica at F L^2 / EI = 10 (Bisshopp & Drucker 1945).
 ELASTICA = np.array([0.8106090248802965, 0.4450044022462487])
@@ -28,6 +29,7 @@ def measure_statics(report: Report, quick: bool, seed: int) -> None:
     cold_solves(report, "paper arm", arm.scene, arm.rest_inputs + random_differential(arm, count, rng))
     many_solves(report, arm, 10_000 if quick else SOLVES, rng)
     elastica(report)
+    flutter(report)
 
 
 def reference_rod() -> rod.Scene:
@@ -107,6 +109,32 @@ def elastica(report: Report) -> None:
         if tolerance == 1e-6:
             report.figure("elastica, scipy solve_bvp tol 1e-6, tip error", error, "L")
             report.figure("elastica, scipy solve_bvp tol 1e-6", 1e3 * seconds, "ms")
+
+
+def flutter(report: Report) -> None:
+    """How much longer equilibria under strong follower loads take because flutter is looked for."""
+    steel, push = rod.Elastic(207e9, 207e9 / 2.6, 8000.0), rod.Input("force", 3)
+    for name, strains, load in (
+        ("in the middle", "kirchhoff", rod.PointWrench(0.25, force=push, follower=True)),
+        ("at the tip", "kirchhoff", rod.TipWrench(force=push, follower=True)),
+        ("at the tip, plane", "planar", rod.TipWrench(force=push, follower=True)),
+    ):
+        body = rod.Rod(0.5, rod.Circle(1e-3), steel, strains)
+        statics = rod.Scene(body, rod.Retardation(1e-4), load, nodes=6).statics()
+        parts = []
+        for size in (0.5, 1.0, 2.0):
+            u = size * body.stiffness[0] / body.length**2 * np.array([1.0, 0.0, 0.0])
+            if not statics.solve(u).success:
+                raise RuntimeError(f"a follower force of {size:g} EI/L^2 {name} has no stable equilibrium")
+            whole = repeated(20, statics.solve, u)
+            looked = Flutter.met
+            Flutter.met = lambda self, way: (None, None)  # type: ignore[method-assign]
+            try:
+                parts.append(whole / repeated(20, statics.solve, u))
+            finally:
+                Flutter.met = looked  # type: ignore[method-assign]
+        for label, value in (("least", min(parts)), ("largest", max(parts))):
+            report.figure(f"statics, follower load {name}, factor for flutter, {label}", value, "", ("<=", 1.5))
 
 
 def shoot(tolerance: float) -> np.ndarray:

@@ -183,10 +183,12 @@ class Branches(Rebuilt):
         """The vibration that grows about the end ``x`` of a walk, and where on its way one does first."""
         if self.judge.has_energy:
             return None, None
-        places = (*found.passed, (1.0, self.whitened.of(x)))
+        y = self.whitened.of(x)
+        there = self.whitened.stiffness(y, u) if found.stiffness is None else found.stiffness
+        places = (*found.passed, (1.0, y, there))
         if before is None:
-            return self.flutter.met([Spot(t, y, u, t) for t, y in places])
-        return self.flutter.met([Spot(t, y, before + t * (u - before), 1.0) for t, y in places])
+            return self.flutter.met([Spot(t, y, u, t, h) for t, y, h in places])
+        return self.flutter.met([Spot(t, y, before + t * (u - before), 1.0, h) for t, y, h in places])
 
 
 def told(event: Event, of_what: str) -> str:

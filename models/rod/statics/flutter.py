@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from pisplit.checks import Array
+from pisplit.mapping import Buffered
 from pisplit.models.rod.sharing import Rebuilt
 from pisplit.models.rod.terms.loads import NoEffect
 
@@ -32,6 +33,8 @@ SKEW, MILD = 1e-7, 0.1
 #: Points of a way that are looked at before its end if that flutters or is at rest, and halvings by which the load is
 #: found where flutter begins.
 SHAKEN, CALM, HALVINGS = 4, 2, 12
+#: Modes of the unloaded rod, the slowest ones, in which a vibration on the way to an end without one is looked for.
+SLOWEST = 10
 
 
 @dataclass(frozen=True)
@@ -58,12 +61,14 @@ class Spot:
         y: whitened strains (n,).
         u: inputs (n_inputs,).
         part: of the loads that act.
+        stiffness: about it (n, n), under that part.
     """
 
     t: float
     y: Array
     u: Array
     part: float
+    stiffness: Array
 
 
 class Flutter(Rebuilt):
@@ -108,30 +113,32 @@ class Flutter(Rebuilt):
         of_strains = scene.nominal_strains / of_x  # of y
         rows = -of_residual / scene.nominal_residual
         strains = self.whitened.search.strains(self.whitened.unknowns(y))
-        z, w = (self.whitened.identity if basis is None else basis for basis in (along, across))
-        mass, damping, hidden = (np.asarray(v, dtype=np.float64) for v in self._inertia(strains, u))
-        right = -np.hstack(
-            [
-                w.T @ stiffness @ z,
-                w.T @ (rows[:, None] * damping * of_strains) @ z,
-                w.T @ (rows[:, None] * hidden),
-            ]
-        )
-        free, moving = z.shape[1], slice(z.shape[1], 2 * z.shape[1])
-        generator = np.zeros((2 * free + len(relaxing),) * 2)
-        generator[:free, moving] = np.eye(free)
-        strained = np.tile((of_strains[:, None] * z)[: layout.n_free], (layout.n_branches, 1))
-        generator[2 * free :, moving] = fractions[:, None] * strained
-        generator[2 * free :, 2 * free :] = -np.diag(relaxing)
+        n, hidden = len(strains), layout.n_overstress
+        columns = (rows * self._inertia(strains, u)[0].reshape(2 * n + hidden, n)).T  # rows of the balance
+        mass, right = columns[:, :n] * of_strains, np.hstack([stiffness, columns[:, n:]])
+        right[:, n : 2 * n] *= of_strains
+        strained = np.diag(of_strains)
+        if along is not None and across is not None:
+            still, moved, felt = (right[:, k * n : (k + 1) * n] for k in range(3))
+            mass, strained = across.T @ mass @ along, of_strains[:, None] * along
+            right = across.T @ np.hstack([still @ along, moved @ along, felt])
+        free, moving = len(mass), slice(len(mass), 2 * len(mass))
+        generator = np.zeros((2 * free + hidden,) * 2)
+        np.fill_diagonal(generator[:free, moving], 1.0)
+        if hidden:
+            generator[2 * free :, moving] = fractions[:, None] * np.tile(
+                strained[: layout.n_free], (layout.n_branches, 1)
+            )
+            generator[2 * free :, 2 * free :] = -np.diag(relaxing)
         try:
-            generator[moving] = np.linalg.solve(w.T @ (rows[:, None] * mass * of_strains) @ z, right)
-            return growing(scene, np.linalg.eigvals(generator).astype(np.complex128))
+            generator[moving] = -np.linalg.solve(mass, right)
+            return growing(scene, np.linalg.eigvals(generator))
         except np.linalg.LinAlgError:  # numbers that are not finite, which the balance tells
             return None
 
     @cached_property
-    def _inertia(self) -> ca.Function:
-        """``(xi, u) -> `` derivatives of the balance at rest with respect to xi_tt, xi_t (n, n) and sigma."""
+    def _inertia(self) -> Buffered:
+        """``(xi, u) -> `` derivatives of the balance at rest with respect to [xi_tt, xi_t, sigma], as one matrix."""
         scene = self.whitened.search.scene
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NoEffect)  # said by the scene itself
@@ -141,30 +148,51 @@ class Flutter(Rebuilt):
         wanted = [ca.jacobian(balance.residual, symbol) for symbol in (xi_tt, xi_t, acting)]
         at_rest = ca.substitute(wanted, [xi_t, xi_tt, acting[:hidden, :]], still)
         at_rest[2] = at_rest[2][:, :hidden]
-        return ca.Function("inertia", [xi, acting[hidden:, :]], at_rest)
+        return Buffered(ca.Function("inertia", [xi, acting[hidden:, :]], [ca.densify(ca.horzcat(*at_rest))]))
+
+    @cached_property
+    def _slowest(self) -> Array:
+        """Slowest modes (n, f) of the unloaded rod, of unit size."""
+        scene, (of_x, of_residual, _) = self.whitened.search.scene, self.whitened.sizes
+        n = scene.n_strains
+        strains = self.whitened.search.strains(self.whitened.unknowns(np.zeros(n)))
+        columns = self._inertia(strains, np.zeros(scene.n_inputs))[0].reshape(-1, n)[:n]
+        mass = (-of_residual / scene.nominal_residual * columns).T * (scene.nominal_strains / of_x)
+        modes: Array = np.linalg.eigh(0.5 * (mass + mass.T))[1]
+        return modes[:, -SLOWEST:]
 
     def met(self, way: list[Spot]) -> tuple[Vibration | None, tuple[float, Vibration] | None]:
         """The vibration that grows at the end of a ``way``, and parameter and vibration where one does first.
 
         None where there is none: at the end, and at the few points that are looked at; equilibria between those of the
-        way are interpolated. Loads that are hardly skew are looked at where they are largest.
+        way are interpolated. Loads that are hardly skew are looked at where they are largest; on the way to an end
+        about which nothing grows, motions in the slowest modes alone.
         """
-        y, u = way[-1].y, way[-1].u
-        stiffness = self.whitened.stiffness(y, u)
-        skew = 0.5 * float(np.linalg.norm(stiffness - stiffness.T))
-        if skew <= SKEW * np.sqrt(len(y)):
+        end = way[-1]
+        skew = _skew(end.stiffness)
+        if skew <= SKEW * np.sqrt(len(end.y)):
             return None, None
-        at_end = self.at(y, u)
+        at_end = self.under(end.y, end.u, end.stiffness)
         if at_end is None and skew <= MILD:
             return None, None
         points = (CALM if at_end is None else SHAKEN) + 2
         before = way[0]
         for k in np.unique(np.linspace(0, len(way) - 1, points).astype(int)[1:]).tolist():
-            there = at_end if k == len(way) - 1 else self.at(way[k].y, way[k].u, way[k].part)
+            there = at_end if k == len(way) - 1 else self._on_the_way(way[k], at_end is None)
             if there is not None:
                 return at_end, self._between(before, way[k], there)
             before = way[k]
         return None, None
+
+    def _on_the_way(self, spot: Spot, slowest: bool) -> Vibration | None:
+        """The vibration that grows about a ``spot``, in the ``slowest`` modes first where they rule it out."""
+        if slowest and _skew(spot.stiffness) <= MILD:
+            return None
+        if slowest and len(spot.y) > SLOWEST:
+            modes = self._slowest
+            if self.under(spot.y, spot.u, spot.stiffness, modes, modes) is None:
+                return None
+        return self.at(spot.y, spot.u, spot.part)
 
     def _between(self, calm: Spot, shaken: Spot, found: Vibration) -> tuple[float, Vibration]:
         low, high = 0.0, 1.0
@@ -177,9 +205,13 @@ class Flutter(Rebuilt):
         return calm.t + high * (shaken.t - calm.t), found
 
 
-def growing(scene: Scene, values: NDArray[np.complex128]) -> Vibration | None:
+def _skew(stiffness: Array) -> float:
+    return 0.5 * float(np.linalg.norm(stiffness - stiffness.T))
+
+
+def growing(scene: Scene, values: NDArray[Any]) -> Vibration | None:
     """The growing vibration of ``scene`` among the eigenvalues ``values`` (q,) of its linear dynamics, or None."""
-    size = np.abs(values)
+    size: Array = np.abs(values)
     damped = -float(values.real.sum()) > NO_DAMPING * float(size.sum())  # what a vibration gains its twin loses
     least = GROWS if damped else UNDAMPED
     grows = (values.real > least * size) & (size > SLOW * scene.rod.bending_rate)

@@ -55,14 +55,16 @@ class Walk:
         t: parameter that was reached, 1 at the end.
         success: whether the end was reached at a stable equilibrium.
         events: losses of stability on the way.
-        passed: equilibria (t, y) on the way, in order.
+        passed: equilibria (t, y) on the way, in order, and the stiffness (n, n) about each, as it was predicted.
+        stiffness: about the end (n, n); None where it was not reached.
     """
 
     y: Array
     t: float
     success: bool
     events: tuple[Event, ...]
-    passed: tuple[tuple[float, Array], ...] = ()
+    passed: tuple[tuple[float, Array, Array], ...] = ()
+    stiffness: Array | None = None
 
 
 def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
@@ -73,11 +75,11 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
     nothing the branch has ended: the rod is pushed along its softest direction and sinks (``descend``) to where it
     rests under a slightly larger load; with ``snaps=False`` the walk ends there.
     """
-    events, passed = list[Event](), list[tuple[float, Array]]()
+    events, passed = list[Event](), list[tuple[float, Array, Array]]()
     t, step = 0.0, 1.0
     force, stiffness, rate = way(y, 0.0)
     y = y + solved(_shifted(stiffness, 1e-2 * SHIFT), force)
-    passed.append((t, y))
+    passed.append((t, y, stiffness))
     tangent = solved(_shifted(stiffness), rate)
     before: tuple[Array, float] | None = None
     fresh = False
@@ -99,7 +101,7 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
         if accepted:
             before = tangent, step
             y, t, stiffness, rate, fresh = guess + correction, ahead, now, rate_ahead, False
-            passed.append((t, y))
+            passed.append((t, y, stiffness))
             tangent = solved(_shifted(now), rate)
             step *= min(3.0, max(1.0, 0.7 / np.sqrt(max(part, 1e-3))))
             continue
@@ -120,7 +122,7 @@ def walk(way: Way, y: Array, judge: Judge, snaps: bool = True) -> Walk:
         if not rests:
             return Walk(y, t, False, tuple(events))
         y, stiffness, rate = _settled(way, y, t, judge)
-        passed.append((t, y))
+        passed.append((t, y, stiffness))
         tangent, before, fresh, step = solved(_shifted(stiffness), rate), None, True, 0.02
     return replace(_ended(way, y, judge, tuple(events)), passed=tuple(passed))
 
@@ -134,7 +136,7 @@ def _ended(way: Way, y: Array, judge: Judge, events: tuple[Event, ...]) -> Walk:
         step = solved(_shifted(stiffness, 1e-2 * SHIFT), force)
         if np.abs(force).max() < BALANCED:
             last = step if judge.size(step) < SMALL else 0.0  # the last digits, for nothing
-            return Walk(y + last, 1.0, judge.stable(stiffness), events)
+            return Walk(y + last, 1.0, judge.stable(stiffness), events, stiffness=stiffness)
         if not judge.size(step) <= 0.3:
             break
         y = y + step
