@@ -196,4 +196,4 @@ def test_derivatives_of_a_step_are_those_of_the_pieces_it_is_taken_in() -> None:
     found, way = plant.sensitivity(x, u), np.array([1.0, -0.5, -0.5])
     np.testing.assert_array_equal(found.x[:q], after(u))
     slope = (after(u + 1e-7 * way) - after(u - 1e-7 * way)) / 2e-7
-    np.testing.assert_allclose(found.d_input[:q] @ way, slope, atol=1e-4 * np.abs(slope).max())
+    np.testing.assert_allclose(found.d_input[:q] @ way, slope, atol=2e-4 * np.abs(slope).max())

@@ -15,6 +15,7 @@ from pisplit.mapping import Buffered, Mapped
 from pisplit.models.rod.dynamics.collocation import Collocation
 from pisplit.models.rod.dynamics.march import March, Piece
 from pisplit.models.rod.dynamics.motion_check import reason
+from pisplit.models.rod.dynamics.pieces import MAX_HALVINGS, SMALL_DEFECT, Pieces, Step
 from pisplit.models.rod.dynamics.simplified import SimplifiedNewton
 from pisplit.models.rod.dynamics.stepper import Stepper
 from pisplit.models.rod.dynamics.trajectory import Trajectory
@@ -27,14 +28,10 @@ if TYPE_CHECKING:
 CORRECTIONS = (3, 6)
 #: Last correction of the strains in parts of their nominal size up to which a step converged.
 CONVERGED = 1e-3
-#: Defect at the start of a step up to which it is taken: see ``FastStepper``.
-SMALL_DEFECT = 0.01
 #: Control intervals that one call takes, at most: it ends with the first that does not pass.
 CALL = 32
-#: How often a control interval is halved before IDAS takes it.
-MAX_HALVINGS = 9
-#: Error, in parts of the largest one allowed, below which the next step is twice as long.
-EASY = 0.02
+#: Intervals that are not tried whole, at most, behind some that did not converge so.
+LONGEST_WAIT = 8
 #: Points along the rod at which shapes are compared.
 POINTS = 6
 
@@ -43,7 +40,8 @@ POINTS = 6
 class _Taken:
     """Intervals of a run as they were taken: states and estimated errors in m, numbers of those that needed more.
 
-    ``cuts``: where the last of those that were halved was cut, in parts of it.
+    ``cuts``: where the last of those that were halved was cut, in parts of it. ``misses``: intervals one behind the
+    other that did not converge in one step.
     """
 
     rows: list[Array] = field(default_factory=list)
@@ -53,6 +51,7 @@ class _Taken:
     steps: int = 0
     message: str = ""
     cuts: list[float] = field(default_factory=lambda: [0.0])
+    misses: int = 0
 
 
 class FastStepper(Stepper):
@@ -62,7 +61,7 @@ class FastStepper(Stepper):
     and its defect, what the balance misses at the start of the step in terms of strains, say whether it is taken: the
     step with the largest defect of every call is done again in two halves, which tells what a defect is worth in
     metres; intervals with a large defect or an error of more than ``accuracy`` L, and those that do not converge, are
-    taken in halves, quarters and so on, each of which is compared with its own halves, and by IDAS where that fails.
+    taken in halves, quarters and so on (``Pieces``), and by IDAS where that fails.
     ``Trajectory.fallbacks`` names them. A single ``step`` is judged by its defect alone, so that it depends on state
     and command only.
 
@@ -210,11 +209,15 @@ class FastStepper(Stepper):
             return super()._as_far_as_possible(start, commands, energy)
         layout = self.scene.layout
         taken = self._last = _Taken()
-        x, before, depth = start[layout.moving], start[layout.inputs], 0
+        x, before, depth, wait = start[layout.moving], start[layout.inputs], 0, 0
         while len(taken.rows) < len(commands) and not taken.message:
             k = len(taken.rows)
             ahead = commands[k : k + CALL]
-            good, whole, halves = self._together(taken, x, before, ahead)
+            good, whole, halves = self._together(taken, x, before, ahead) if wait == 0 else (0, None, 1)
+            if wait == 0:
+                wait = min(taken.misses * (taken.misses - 1), LONGEST_WAIT) if good < len(ahead) else 0
+            else:
+                wait -= 1
             if good:
                 x, before = taken.rows[-1], ahead[good - 1]
             if good < len(ahead):
@@ -223,7 +226,7 @@ class FastStepper(Stepper):
         stats = {"nsteps": taken.steps, "halved": len(taken.halved), "idas": len(taken.idas)}
         return np.array(taken.rows).reshape(len(taken.rows), layout.n_moving), stats, taken.message
 
-    def _together(self, taken: _Taken, x: Array, before: Array, commands: Array) -> tuple[int, Array | None, int]:
+    def _together(self, taken: _Taken, x: Array, before: Array, commands: Array) -> tuple[int, Step | None, int]:
         """How many of the first ``commands`` pass in one call; their states are appended.
 
         And of the one behind them, where it went in one step, if that converged, and how often it has to be halved at
@@ -253,7 +256,7 @@ class FastStepper(Stepper):
         if size > 1 and good:
             worst = int(np.argmax(defects[:good]))
             at, u = (x, before) if worst == 0 else (states[worst - 1], commands[worst - 1])
-            end = self._in_pieces(at, u, commands[worst], 2 * self.substeps)
+            end = self._finer(at, u, commands[worst])
             error = np.inf if end is None else self._distance(end, states[worst], commands[worst])
             errors = error * defects[:good] / max(float(defects[worst]), 1e-300)
             over = errors > self.accuracy * self.scene.rod.length
@@ -262,32 +265,41 @@ class FastStepper(Stepper):
         taken.rows += list(states[:good])
         taken.errors += errors[:good].tolist()
         taken.steps += good * self.substeps
-        one = self.substeps == 1 and not halves and good < size and corrections[good] <= CONVERGED
-        return good, states[good] if one else None, halves
+        if good == size or halves or self.substeps > 1:
+            return good, None, halves
+        if not corrections[good] <= CONVERGED:
+            taken.misses = 1 + (taken.misses if good == 0 else 0)
+            return good, None, 1
+        taken.misses = 0
+        return good, Step(states[good], float(defects[good])), 0
 
-    def _in_pieces(self, x: Array, before: Array, command: Array, pieces: int) -> Array | None:
-        """[xi, xi_t] after an interval in equal pieces, or None where one of them does not converge."""
+    def _finer(self, x: Array, before: Array, command: Array) -> Array | None:
+        """[xi, xi_t] after an interval in steps of half the length, or None where one of them does not converge."""
+        pieces = 2 * self.substeps
         for k in range(pieces):
             u0, u1 = (before + (command - before) * (k + j) / pieces for j in (0, 1))
             found = self._step(x, u0, u1, self.dt / pieces)
             if found is None:
                 return None
-            x = found
+            x = found.end
         return x
 
-    def _step(self, x: Array, u0: Array, u1: Array, h: float) -> Array | None:
+    def _step(self, x: Array, u0: Array, u1: Array, h: float) -> Step | None:
         try:
-            end, correction, _ = self._one(x, u0, u1, np.array([h]))
+            end, correction, defect = self._one(x, u0, u1, np.array([h]))
         except RuntimeError:
             return None
-        return end.copy() if correction[0] <= CONVERGED else None
+        return Step(end.copy(), float(defect[0])) if correction[0] <= CONVERGED else None
 
-    def _alone(self, taken: _Taken, x: Array, before: Array, command: Array, depth: int, whole: Array | None) -> int:
+    def _alone(self, taken: _Taken, x: Array, before: Array, command: Array, depth: int, whole: Step | None) -> int:
         """One interval that did not pass, in pieces, first of ``dt / 2^depth``, or by IDAS; the last depth."""
         k = len(taken.rows)
         start = np.concatenate([x, before])
         try:
-            end, error, steps, depth = self._halved(x, (before, command), depth, whole)
+            pieces = Pieces(self._step, self._distance, self.dt, self.accuracy * self.scene.rod.length)
+            walk = pieces.through(x, (before, command), depth, whole)
+            end, error, steps, depth = walk.end, walk.error, len(walk.cuts) - 1, walk.depth
+            taken.cuts = walk.cuts
             taken.halved.append(k)
         except RuntimeError as too_rough:
             try:
@@ -304,38 +316,6 @@ class FastStepper(Stepper):
         taken.errors.append(error)
         taken.steps += steps
         return depth
-
-    def _halved(
-        self, x: Array, u: tuple[Array, Array], depth: int, whole: Array | None
-    ) -> tuple[Array, float, int, int]:
-        """[xi, xi_t] after an interval in pieces, its estimated error in m, steps taken and the depth of the last one.
-
-        ``whole``: where it went in one step, if that is known.
-
-        Raises RuntimeError beyond the last halving.
-        """
-        whole_interval = 1 << MAX_HALVINGS
-        self._last.cuts = [0.0]
-        done, error, steps = 0, 0.0, 0
-        whole = whole if depth == 0 else None
-        while done < whole_interval:
-            piece = whole_interval >> depth
-            h = self.dt * piece / whole_interval
-            at = [u[0] + (u[1] - u[0]) * ((done + part * piece) / whole_interval) for part in (0.0, 0.5, 1.0)]
-            whole = self._step(x, at[0], at[2], h) if whole is None else whole
-            first = self._step(x, at[0], at[1], 0.5 * h)
-            second = None if first is None else self._step(first, at[1], at[2], 0.5 * h)
-            apart = np.inf if whole is None or second is None else self._distance(whole, second, at[2])
-            if second is not None and apart <= self.accuracy * self.scene.rod.length:
-                self._last.cuts += [(done + 0.5 * piece) / whole_interval, (done + piece) / whole_interval]
-                x, done, error, steps, whole = second, done + piece, error + apart, steps + 2, None
-                if apart < EASY * self.accuracy * self.scene.rod.length and depth and done % (2 * piece) == 0:
-                    depth -= 1
-            elif depth == MAX_HALVINGS:
-                raise RuntimeError(f"steps of {h:.1e} s are too large")
-            else:
-                depth, whole = depth + 1, first
-        return x, error, steps, depth
 
     def _pieces(self, start: Array, command: Array) -> tuple[Array, list[Piece]]:
         """As ``integrate`` takes the step; where IDAS takes it, the derivatives are those of steps of ``dt / 512``."""
