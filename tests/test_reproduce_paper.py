@@ -178,7 +178,9 @@ class Counting:
         )
 
 
-def test_cells_are_resumed_refusals_counted_and_other_settings_refused(modules: Any, data: Any, tmp_path: Path) -> None:
+def test_cells_are_resumed_refusals_counted_and_said_and_other_settings_refused(
+    modules: Any, data: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     runs = modules.runs
     source = SimpleSource(data)
     method = modules.protocol.Method("counting", Counting(modules))
@@ -187,6 +189,7 @@ def test_cells_are_resumed_refusals_counted_and_other_settings_refused(modules: 
     Counting.calls = 0
     first = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
     assert Counting.calls == 3
+    assert "any, counting, 8 pairs, draw 0: no fit, counted as divergence: " in capsys.readouterr().out
     (tmp_path / "any" / "counting" / "16-300-1.h5").write_bytes(b"truncated")
     again = runs.run_cells(*arguments, {"seed": 0}, workers=1, progress=False)
     assert Counting.calls == 4

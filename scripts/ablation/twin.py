@@ -120,7 +120,7 @@ class TwinMethod:
         digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:16]
         path = self.folder / f"{digest}.h5"
         if not path.exists():
-            with replacing(path) as part:
+            with replacing(path, make_folders=True) as part:
                 make_episodes(
                     calibration.arm,
                     part,

@@ -123,6 +123,9 @@ def run_cells(
         for k, results in unordered(Chains(tuple(chains)), range(len(chains)), workers):
             for cell, result in zip(chains[k].cells, results, strict=True):
                 write(cell, folder, result)
+                if "refused" in result.facts:
+                    said = f"{cell.law}, {cell.method}, {cell.n1} pairs, draw {cell.seed}"
+                    tqdm.write(f"{said}: no fit, counted as divergence: {result.facts['refused']}")
             bar.update(len(results))
     return {cell: read(cell, folder) for cell in cells}
 
