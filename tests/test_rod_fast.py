@@ -122,6 +122,15 @@ def test_a_call_ends_with_the_first_interval_that_does_not_pass_and_goes_on_behi
     np.testing.assert_allclose(np.vstack([first.x, second.x[1:]]), whole.x, rtol=1e-12, atol=1e-12)
 
 
+def test_no_piece_is_longer_than_the_step_that_was_asked_for() -> None:
+    of = arm()
+    u = harsh(of, 2)
+    found = of.scene.fast_stepper(DT, step=DT / 3).run(u, rest(of), check=False)
+    assert found.fallbacks["halved"] == (0, 1) and found.stats["nsteps"] >= 2 * 4
+    exact = of.scene.simulator(DT, rtol=1e-7).run(u, rest(of), check=False)
+    assert np.abs(tips(of.scene, found.x) - tips(of.scene, exact.x)).max() < 3e-4
+
+
 def test_rough_commands_are_finished_and_named() -> None:
     of = arm()
     u = np.vstack([usual(of, 5), harsh(of)])

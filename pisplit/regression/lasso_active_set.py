@@ -112,7 +112,7 @@ def _step(gram: Array, slope: Array, penalty: Array, active: _Active, ridge: flo
     """
     while True:
         columns, signs, values = active.columns, active.signs, active.values
-        block = gram[np.ix_(columns, columns)]
+        block = gram.ravel().take(columns[:, None] * len(gram) + columns)
         weights = penalty[columns]
         downhill = slope[columns] - weights * signs
         step = _newton(block, downhill, ridge)
@@ -121,9 +121,8 @@ def _step(gram: Array, slope: Array, penalty: Array, active: _Active, ridge: flo
             break
         active = active.kept(~wrong)  # these would take the other sign: leave them at zero
     decrease = float(downhill @ step)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = np.where(values * step < 0.0, -values / step, np.inf)
-    kinks = np.flatnonzero(crossing < 1.0)
+    crossing = np.divide(-values, step, out=np.full(len(step), np.inf), where=values * step < 0.0)
+    kinks = (crossing < 1.0).nonzero()[0]
     moved = values + step
     if len(kinks):
         moved = _along(values, step, crossing, kinks, decrease, weights)

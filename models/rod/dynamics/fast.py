@@ -296,7 +296,8 @@ class FastStepper(Stepper):
         k = len(taken.rows)
         start = np.concatenate([x, before])
         try:
-            pieces = Pieces(self._step, self._distance, self.dt, self.accuracy * self.scene.rod.length)
+            coarsest = (self.substeps - 1).bit_length()  # no step is longer than was asked for
+            pieces = Pieces(self._step, self._distance, self.dt, self.accuracy * self.scene.rod.length, coarsest)
             walk = pieces.through(x, (before, command), depth, whole)
             end, error, steps, depth = walk.end, walk.error, len(walk.cuts) - 1, walk.depth
             taken.cuts = walk.cuts

@@ -54,12 +54,14 @@ class Pieces:
         distance: ``(x, y, u) -> `` distance of two shapes under the inputs u, in m.
         dt: control interval in s.
         largest: error in m that a piece may have.
+        coarsest: binary logarithm of the least number of pieces.
     """
 
     step: Callable[[Array, Array, Array, float], Step | None]
     distance: Callable[[Array, Array, Array], float]
     dt: float
     largest: float
+    coarsest: int = 0
 
     def through(self, x: Array, u: tuple[Array, Array], depth: int, whole: Step | None) -> Walk:
         """The interval from ``x``, inputs from the first to the second of ``u``, at first in 2^``depth`` pieces.
@@ -93,8 +95,8 @@ class Pieces:
     ) -> tuple[Walk, list[tuple[Array, Array, float, Array, Array, float]]]:
         """As ``through``, and the pieces that were taken for a defect that is ``small``."""
         full = 1 << MAX_HALVINGS
-        walk, judged = Walk(x, depth=depth), []
-        done, whole = 0, whole if depth == 0 else None
+        walk, judged = Walk(x, depth=max(depth, self.coarsest)), []
+        done, whole = 0, whole if walk.depth == 0 else None
         while done < full:
             piece = full >> walk.depth
             h = self.dt * piece / full
@@ -119,7 +121,7 @@ class Pieces:
                     second = None
             if second is not None:
                 walk.end, done, whole = second.end, done + piece, None
-                if easy and walk.depth and done % (2 * piece) == 0:
+                if easy and walk.depth > self.coarsest and done % (2 * piece) == 0:
                     walk.depth -= 1
             elif walk.depth == MAX_HALVINGS:
                 raise RuntimeError(f"steps of {h:.1e} s are too large")
