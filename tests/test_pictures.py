@@ -48,6 +48,7 @@ WITHOUT = {
             "Principal",
             "Radial",
             "Tension",
+            "Slip",
             "Input",
             "Tendons",
             "Chambers",

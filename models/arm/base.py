@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from pisplit import Episodes
     from pisplit.models.arm.resting import RestShapes
-    from pisplit.observables import Tension
+    from pisplit.observables import Slip, Tension
     from pisplit.pictures import Outline
 
 
@@ -163,6 +163,15 @@ class Arm:
         from pisplit.models.arm.stretch import tension
 
         return tension(self, stations)
+
+    def slip(self, stations: int = 6) -> Slip:
+        """How fast its tendons slide, by the fields at so many ``stations``: ``ReliftedEDMDc(slip=arm.slip())``.
+
+        Raises ValueError for arms of several sections and those on joints.
+        """
+        from pisplit.models.arm.stretch import slip
+
+        return slip(self, stations)
 
     def rest_shapes(
         self, number: int = 16, seed: int = 0, stations: int = 6, position_noise: float = 0.0, angle_noise: float = 0.0

@@ -17,11 +17,12 @@ import numpy as np
 from pisplit import Episodes
 from pisplit.checks import Array, count, one_of, positive
 from pisplit.data.actuator import Actuator, ActuatorState, checked_actuator
+from pisplit.models import rod
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.blocks import Block, discard_blocks, run_blocks
 from pisplit.models.rod.analysis.fields import UNITS, Fields
 from pisplit.models.rod.output.compiled import CompiledScene
-from pisplit.models.rod.output.paying import IDAS_STEP, STEP, Compiled, checked_compiled, pays
+from pisplit.models.rod.output.paying import IDAS_STEP, RUBBING_STEP, STEP, Compiled, checked_compiled, pays
 
 #: Steps between two random targets of the displacements. On the paper's arm at dt = 0.03 s, 16 makes the motion about
 #: the equilibrium as large as that of the equilibrium itself; 8 is three times as violent, 24 nearly quasi-static.
@@ -274,7 +275,8 @@ def arm_origin(arm: Arm, kind: str, stations: int, seed: int, law: str) -> dict[
 
 def _compile(compiled: Compiled, task: EpisodeTask, episodes: float) -> bool:
     """Whether machine code is made for the ``task``, of which one core does ``episodes``."""
-    a_step = STEP if task.method == "fast" else IDAS_STEP
+    rubs = any(isinstance(t, rod.Tendons) and t.friction > 0.0 and t.slip_speed for t in task.arm.scene.terms)
+    a_step = (RUBBING_STEP if rubs else STEP) if task.method == "fast" else IDAS_STEP
     twin = CompiledScene.of(task.arm.scene)
 
     def functions() -> list[ca.Function]:

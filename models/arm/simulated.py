@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pisplit import Dictionary, Episodes, TwinEDMDc
 from pisplit.checks import Array, check_same_step, count, non_negative, positive
+from pisplit.data.actuator import Actuator, checked_actuator
 from pisplit.data.episodes import Pairs
 from pisplit.models.arm.base import Arm
 from pisplit.models.arm.recording import check_origin, episodes_origin, make_episodes
@@ -39,11 +40,13 @@ def simulated_recordings(
     path: str | os.PathLike[str] | None = None,
     workers: int = -1,
     progress: bool = True,
+    actuator: Actuator | None = None,
 ) -> Episodes:
-    """Recordings of an ``arm``, drawn or calibrated, from rest under random smooth displacements, seen with noise.
+    """Recordings of an ``arm``, drawn or calibrated, from rest under random smooth commands, seen with noise.
 
-    Inputs are positions of the tendons: an arm behind servos is recorded without them. A model of noise-free
-    recordings trusts digits that no sensor reads, and predicts badly from what is measured.
+    Inputs are positions of the tendons, what its servos make of the commands: a model of an arm that rubs has to be
+    learned from moves as smooth as those that it predicts. Bilinear models of noise-free recordings trust digits that
+    no sensor reads, and predict badly from what is measured.
 
     Args:
         arm: what moves.
@@ -54,11 +57,13 @@ def simulated_recordings(
         path: of an HDF5 file that keeps the recordings, without noise, for the next call.
         workers: processes, -1 for one a core.
         progress: whether to show a bar.
+        actuator: servos between commands and tendons; none if not given.
 
     Raises RuntimeError where the arm cannot be simulated, and ValueError for negative noise and for a file of another
     arm or with other settings.
     """
-    told: dict[str, Any] = {"stations": stations, "seed": seed}
+    servo = Actuator() if actuator is None else checked_actuator(actuator)
+    told: dict[str, Any] = {"stations": stations, "seed": seed, "actuator": servo}
     if path is not None and Path(path).exists():
         found = Episodes.load(path)
         check_origin(path, found.provenance, episodes_origin(arm, steps, dt, **told))
@@ -66,7 +71,7 @@ def simulated_recordings(
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "simulated.h5" if path is None else path
             found = make_episodes(arm, file, episodes, steps, dt, **told, workers=workers, progress=progress)
-    found = found[:episodes]
+    found = found[:episodes].through(servo, arm.rest_inputs)
     rng = np.random.default_rng(np.random.SeedSequence(count(seed, "seed", 0), spawn_key=(21,)))
     units = np.array(found.units)
     seen = [seen_with_noise(x, units, noise or {}, noise_angle, rng) for x in found.xs]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import casadi as ca
 import numpy as np
@@ -26,10 +25,11 @@ from pisplit.estimators.boundedness import Excitation
 from pisplit.estimators.commands import excitation_inputs
 from pisplit.estimators.fold_errors import LOST, FoldErrors, RolloutVerdict, constant_error, judged, reasons
 from pisplit.estimators.folds import Fold, make_folds
-from pisplit.estimators.relifted_coordinates import Coordinates, joined_tables, kinked_table, product_table
+from pisplit.estimators.relifted_coordinates import Coordinates, product_table
+from pisplit.estimators.relifted_kinks import Kinked
 from pisplit.lifted.model import LiftedModel
 from pisplit.lifted.operators import excited_inputs, state_range
-from pisplit.lifted.relifting import GATE, HINGE, ReliftedTerm
+from pisplit.lifted.relifting import ReliftedTerm
 from pisplit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
@@ -38,8 +38,6 @@ Array = NDArray[np.float64]
 RIDGES = tuple(np.logspace(-12, 0, 9).tolist())
 #: Structures whose squared error is so many times that of the best on the folds so far are not fitted to the next.
 BEHIND = 9.0
-#: Parts of a step at which the stretch of tendons is looked at.
-PARTS = (0.0, 0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -108,6 +106,8 @@ class ReliftedEDMDc(Estimator):
     omit        quantities of states that do not shape the components, but are read from them
     tension     what tendons feel (:class:`pisplit.observables.Tension`): softplus functions and gates of their stretch
                 under the coming command beside all other columns; for tendons that go slack
+    slip        how fast tendons slide where they rub (:class:`pisplit.observables.Slip`): gates of it beside all other
+                columns; for friction that turns round
 
     What is chosen is the best on roll-outs of held-out training recordings, of those that stay bounded under the
     excitation. After ``fit``: ``lifted`` (a LiftedModel with ``relifted``; its lifted state is c and the last input),
@@ -128,6 +128,7 @@ class ReliftedEDMDc(Estimator):
         cv_horizon: int | None = None,
         cv_folds: int | None = None,
         tension: ob.Tension | None = None,
+        slip: ob.Slip | None = None,
     ) -> None:
         _each(components, "components", 1)
         _each(leading, "leading", 0)
@@ -148,11 +149,9 @@ class ReliftedEDMDc(Estimator):
         self.omit = omit
         self.cv_horizon = cv_horizon
         self.cv_folds = cv_folds
-        if tension is not None and not isinstance(tension, ob.Tension):
-            raise ValueError(
-                f"tension = {tension!r}; expected pisplit.observables.Tension, such as arm.tension() gives"
-            )
+        Kinked(tension, slip)
         self.tension = tension
+        self.slip = slip
 
     @property
     def n_delays(self) -> int:
@@ -253,7 +252,8 @@ class ReliftedEDMDc(Estimator):
         for s in structures:
             if shape is None or shape[0].sizes[0] != s.components or shape[1:] != (s.leading, s.degree):
                 coordinates = Coordinates.of(pairs, theta.names.quantities, self.omit, s.components, margins)
-                solve = ReliftedRegression(coordinates, pairs, s.leading, s.degree, self.tension, d1.dt)
+                kinked = Kinked(self.tension, self.slip)
+                solve = ReliftedRegression(coordinates, pairs, s.leading, s.degree, kinked, d1.dt)
                 shape = coordinates, s.leading, s.degree
             assert solve is not None
             yield s, solve.model(s, d1, pairs, theta)
@@ -263,7 +263,7 @@ class ReliftedRegression:
     """Ridge regression of c+ - c on [1, c, mean input, change, products], for any ridge.
 
     ``coordinates`` of the states and inputs, ``pairs`` with one step of history, numbers of ``leading`` components and
-    ``degree`` of their products; with a ``tension`` kinks of the stretch in steps of ``dt`` in s beside them.
+    ``degree`` of their products; what is ``kinked`` in steps of ``dt`` in s beside them.
     """
 
     def __init__(
@@ -272,17 +272,14 @@ class ReliftedRegression:
         pairs: Pairs,
         leading: int,
         degree: int,
-        tension: ob.Tension | None = None,
+        kinked: Kinked | None = None,
         dt: float = 1.0,
     ) -> None:
         self.coordinates = coordinates
         r, q, m = coordinates.sizes
-        self.factors = product_table(r, 2 * q, min(leading, r), degree)
         basis, offset = coordinates.variables
-        kinks = np.zeros((0, r + 2 * m + 3))
-        if tension is not None:
-            kinks, table = kinked_columns(tension, coordinates, pairs, dt)
-            self.factors = joined_tables(self.factors, table, len(basis), len(basis) + len(kinks))
+        products = product_table(r, 2 * q, min(leading, r), degree)
+        kinks, self.factors = (kinked or Kinked()).columns(coordinates, pairs, dt, products)
         self.term = ReliftedTerm(basis, offset, self.factors, np.zeros((r + m, len(self.factors))), kinks)
         c, after = ((x - coordinates.mean) @ coordinates.encode.T for x in (pairs.x, pairs.x_next))
         z = np.hstack([c, pairs.u_history[:, 0]])
@@ -345,35 +342,6 @@ class ReliftedRegression:
             input_units=d1.input_units,
             relifted=ReliftedTerm(self.term.basis, self.term.offset, self.factors, weights, self.term.kinks),
         )
-
-
-def kinked_columns(
-    tension: ob.Tension, coordinates: Coordinates, pairs: Pairs, dt: float
-) -> tuple[Array, NDArray[np.int64]]:
-    """Kinks of the stretch of tendons, as ``ReliftedTerm`` takes them, and the products with them.
-
-    What the state adds to the stretch of a ``tension`` is linear in the components of the ``coordinates`` to rounding
-    where they are many, and by least squares over the ``pairs`` where they are few. ``dt`` is the time step in s.
-    """
-    r, _, m = coordinates.sizes
-    x = np.vstack([pairs.x, pairs.x_next])
-    design = np.hstack([(x - coordinates.mean) @ coordinates.encode.T, np.ones((len(x), 1))])
-    told = np.hstack(tension.along(x, m))
-    slope = np.linalg.lstsq(design, told, rcond=1e-10)[0].T  # (2 m, r + 1)
-    unit = float(np.sqrt(((pairs.u - coordinates.offset) ** 2).mean(axis=0)).max()) or 1.0
-    rows = []
-    for part in PARTS:
-        of_state = slope[:m] + part * dt * slope[m:]
-        eye = np.eye(m)
-        rows.append(np.hstack([of_state[:, :r], (1.0 - part) * eye, part * eye, of_state[:, r:]]) / unit)
-    kind = [(row, HINGE, w) for w in tension.widths for block in rows for row in block]
-    gates = [(row, GATE, tension.gate) for block in (rows[-1], rows[0]) for row in block]
-    kinks = np.array([[*row, k, w] for row, k, w in [*kind, *gates]])
-    first = len(kind)
-    last = [first + i for i in range(m)]
-    sets = [(i,) for i in range(first, len(kinks))] + list(combinations(last, 2))
-    variables = len(coordinates.variables[1])
-    return kinks, kinked_table(variables, range(variables), first, sets)
 
 
 def _lift(coordinates: Coordinates) -> ca.Function:

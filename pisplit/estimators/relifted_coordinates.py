@@ -108,21 +108,19 @@ def product_table(components: int, inputs: int, leading: int, degree: int) -> ND
     return np.array([(*p, *(one,) * (width - len(p))) for p in found], dtype=np.int64).reshape(len(found), width)
 
 
-def kinked_table(
-    variables: int, leading: Sequence[int], softplus: int, gates: Sequence[tuple[int, ...]]
-) -> NDArray[np.int64]:
-    """Factors (P, 3) of products with kinks, which stand behind so many ``variables``.
+def kinked_table(first: int, variables: int, hinges: int, gates: Sequence[tuple[int, ...]]) -> NDArray[np.int64]:
+    """Factors (P, 3) of products with kinks, the ``first`` of which stands at this position.
 
-    The first ``softplus`` kinks are columns themselves. ``gates`` are positions of others among the kinks, one or two
-    in each: their product is a column, and so is it times each of the variables ``leading``. The number of variables
-    and kinks stands for 1.
+    The ``hinges``, so many, are columns themselves. ``gates`` are positions of others behind the first kink, one or two
+    in each: their product is a column, and so is it times each of the ``variables``, so many. The position behind the
+    last kink stands for 1.
     """
-    kinks = softplus + max((i + 1 - softplus for g in gates for i in g), default=0)
-    one = variables + kinks
-    found: list[tuple[int, ...]] = [(variables + k, one, one) for k in range(softplus)]
+    kinks = hinges + max((i + 1 - hinges for g in gates for i in g), default=0)
+    one = first + kinks
+    found: list[tuple[int, ...]] = [(first + k, one, one) for k in range(hinges)]
     for gate in gates:
-        own = tuple(variables + k for k in gate) + (one,) * (2 - len(gate))
-        found += [(*own, v) for v in (one, *leading)]
+        own = tuple(first + k for k in gate) + (one,) * (2 - len(gate))
+        found += [(*own, v) for v in (one, *range(variables))]
     return np.array(found, dtype=np.int64).reshape(len(found), 3)
 
 

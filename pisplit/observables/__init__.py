@@ -15,6 +15,7 @@ from pisplit.observables.hinges import Hinge, Slack
 from pisplit.observables.polynomials import Polynomials
 from pisplit.observables.principal import Principal
 from pisplit.observables.radial import Radial
+from pisplit.observables.slip import Slip
 from pisplit.observables.tension import Tension
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "RandomFourier",
     "RodCoordinates",
     "Slack",
+    "Slip",
     "StateMap",
     "States",
     "Sum",

@@ -38,7 +38,8 @@ BASELINES = ("L-EDMDc", "B-EDMDc")
 BOUNDED = ("L-EDMDc, bounded", "B-EDMDc, bounded")
 INFORMED = ("L-EDMDc, rod + x_eq", "B-EDMDc, rod + x_eq")
 OURS = "PI twin"
-DIRECT = "arm itself"
+#: The calibrated arm as predictor, and a model for MPC of its simulated recordings.
+DIRECT, SIMULATED = "arm itself", "arm simulated"
 #: Scenarios beside the main one, and the methods they run.
 OTHERS = (*BASELINES, "PI hold", OURS)
 #: Pairs (steps) of the rows that are run at one size.
@@ -75,9 +76,9 @@ def cells_of(plan: Plan, name: str, steps: int) -> Iterator[Cell]:
     main = name == MAIN
     sizes = plan.sizes if main else plan.noise_sizes if name in NOISE_CURVE else plan.other_sizes
     every = (plan.training - HELD_OUT) * (steps - HISTORY)
-    wanted = list(methods(Path(), 0)) if main else list(OTHERS)
+    wanted = [m for m in methods(Path(), 0) if m != SIMULATED] if main else list(OTHERS)
     if name.startswith(OTHER_ROBOT):
-        wanted += ["re-lifted", DIRECT]
+        wanted += ["re-lifted", DIRECT, SIMULATED]
     for method in wanted:
         if method in TABLED and name == "independent pulls":
             continue
@@ -181,6 +182,7 @@ def main() -> None:
     made.add_argument(
         "--pairs", type=int, action="append", help="one or several of the sizes, 0: all; default all sizes"
     )
+    made.add_argument("--draws", type=int, help="draws of pairs of every size, the first ones; default all")
     made.add_argument("--workers", type=int, default=-1, help="worker processes, -1: all cores")
     arguments = made.parse_args()
     known = scenarios()
@@ -209,6 +211,8 @@ def main() -> None:
         if arguments.pairs:
             every = (plan.training - HELD_OUT) * (steps - HISTORY)
             cells = [c for c in cells if c.n1 in {size or every for size in arguments.pairs}]
+        if arguments.draws is not None:
+            cells = [c for c in cells if c.seed < arguments.draws]
         settings = {"seed": arguments.seed, "training": plan.training, "test": plan.test}
         used = [found[label] for label in dict.fromkeys(c.method for c in cells)]
         results |= run_cells(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from common.data import DT
 from common.protocol import HELD_OUT, HISTORY, Draw, Prediction, Predictor
 from pisplit import Episodes
 from pisplit.data.actuator import Actuator
+from pisplit.files import replacing
 from pisplit.models.arm.disk_robot import PRESETS
 from pisplit.models.arm.predictor import ArmPredictor
 from pisplit.models.arm.resting import RestShapes
@@ -27,18 +30,30 @@ DISKS = 8
 class DirectMethod:
     """Everything from windows of recordings and from shapes at rest, for every form of the tendons.
 
-    Form and groups of parameters are those that predict held-out recordings best (``choose_calibration``).
+    Form and groups of parameters are those that predict held-out recordings best (``choose_calibration``). Calibrations
+    are kept in ``folder``: those of a draw serve other methods too.
     """
 
+    folder: Path
     seed: int
 
     def __call__(self, draw: Draw) -> Predictor:
         """Calibrate by the pairs of a draw; form and groups by its held-out recordings."""
         try:
-            found = chosen(draw, self.seed)
+            found = kept(draw, self.folder, self.seed)
         except RuntimeError as error:  # no answer is one: it counts as divergence
             raise ValueError(f"no arm: {error}") from None
         return Direct(found.arm, found.actuator)
+
+
+def kept(draw: Draw, folder: Path, seed: int) -> CalibrationChoice:
+    """The calibration of a draw, read from ``folder`` where it was made before."""
+    path = folder / f"{draw.law.replace(' ', '-')}-{len(draw)}-{seed}-{draw.seed}.pkl"
+    if not path.exists():
+        found = chosen(draw, seed)
+        with replacing(path) as part:
+            part.write_bytes(pickle.dumps(found))
+    return pickle.loads(path.read_bytes())
 
 
 def chosen(draw: Draw, seed: int) -> CalibrationChoice:

@@ -13,6 +13,7 @@ import numpy as np
 from ablation.direct import DirectMethod
 from ablation.scenarios import STATIONS, excitation, scenarios
 from ablation.shared import best, compact, quietly
+from ablation.simulated import SimulatedMethod
 from ablation.twin import TWIN_EPISODES, TwinMethod
 from common.protocol import Draw, Lifted, Method, Prediction, Predictor, contiguous
 from pisplit import BilinearEDMDc, Dictionary, Episodes, LiftedModel, LinearEDMDc, PIEDMDc, ReliftedEDMDc
@@ -44,7 +45,8 @@ def methods(folder: Path, seed: int, episodes: int = TWIN_EPISODES) -> dict[str,
         "PI balanced": Splitting("balanced", seed),
         "PI hold": Splitting("hold", seed),
         "PI twin": twin,
-        "arm itself": DirectMethod(seed),
+        "arm itself": DirectMethod(folder, seed),
+        "arm simulated": SimulatedMethod(folder, seed),
         "PI twin, no pairs": replace(twin, use_pairs=False),
         "PI twin, tendons from pairs": replace(twin, use_equilibria=False),
     }
