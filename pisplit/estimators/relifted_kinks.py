@@ -84,7 +84,8 @@ def stretched(
 def sliding(slip: ob.Slip, coordinates: Coordinates, pairs: Pairs) -> tuple[Array, int, Sequence[tuple[int, ...]]]:
     """Kinks of the mean ``slip`` over the coming step, all of them gates; see :func:`stretched`.
 
-    The mean of begin and end of the step is told from components and both inputs by least squares over the ``pairs``.
+    The mean of begin and end of the step is told from the components of the ``coordinates`` and both inputs by least
+    squares over the ``pairs``.
     """
     before = (pairs.x - coordinates.mean) @ coordinates.encode.T
     design = np.hstack([before, pairs.u_history[:, 0], pairs.u, np.ones((len(before), 1))])

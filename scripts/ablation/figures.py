@@ -25,6 +25,7 @@ COLOURS = {
     "PI hold": "tab:green",
     OURS: "tab:red",
     "arm itself": "tab:purple",
+    "arm simulated": "tab:pink",
     "L-EDMDc, rod + x_eq": "lightsteelblue",
     "B-EDMDc, rod + x_eq": "navajowhite",
     "PI Strang, rod + x_eq": "black",
