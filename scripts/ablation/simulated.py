@@ -41,8 +41,8 @@ class SimulatedMethod:
     """Re-lifted models of the calibrated arm, simulated behind its servos, with gates of slip.
 
     It is calibrated by the first 16 pairs as :class:`ablation.direct.DirectMethod` does it; calibrations and recordings
-    are kept in ``folder``. Where many pairs are recorded a model of these and of the simulated ones is another candidate: held-out
-    recordings decide.
+    are kept in ``folder``. Where many pairs are recorded a model of these and of the simulated ones is another
+    candidate: held-out recordings decide.
     """
 
     folder: Path
