@@ -49,8 +49,8 @@ class Steps:
         )
 
 
-def say(times: Array, values: Array, members: Mapping[str, Index], names: Sequence[str]) -> None:
-    """Warn of columns ``values`` (N, k) at ``times`` (N,) [s] that exchange places or turn to their negatives.
+def say(times: Array, values: Array, members: Mapping[str, Index], names: Sequence[str]) -> bool:
+    """Warn of columns ``values`` (N, k) at ``times`` (N,) [s] that exchange places or turn to their negatives, if any.
 
     members  {run: positions of its samples, in order of time}
     names    (k,) of the columns; several of a marker that is taken for another are said in one line
@@ -85,6 +85,7 @@ def say(times: Array, values: Array, members: Mapping[str, Index], names: Sequen
             f"from {moments[0][0]:.6g} s on {', '.join(parts[:SHOWN])}{more}{often}: columns that changed places, or a "
             "marker taken for another? mend the file there, or cut it and name the columns of each part"
         )
+    said = bool(found)
     for c, moments_of in turned.items():
         column = values[:, c]
         if len(moments_of) <= 2 and not any(wraps.wraps_of(column[rows]) for rows in members.values() if len(rows) > 3):
@@ -92,6 +93,8 @@ def say(times: Array, values: Array, members: Mapping[str, Index], names: Sequen
                 f"{names[c]} goes on as its negative from {moments_of[0]:.6g} s on: did its sign change? mend the file "
                 "there, or cut it and turn one part"
             )
+            said = True
+    return said
 
 
 def _large_steps(values: Array, members: Mapping[str, Index]) -> Array:

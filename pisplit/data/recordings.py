@@ -14,6 +14,7 @@ from pisplit.data import (
     clock,
     exchanges,
     late_commands,
+    mixups,
     recording_checks,
     resampling,
     screening,
@@ -115,7 +116,7 @@ def from_arrays(
     states = screened.states
     wraps.say(times, states, members, names[0])
     unit_changes.say(times, states, members, names[0])
-    exchanges.say(times, np.hstack([states, inputs]), members, [*names[0], *names[1]])
+    jumped = exchanges.say(times, np.hstack([states, inputs]), members, [*names[0], *names[1]])
     if ranges:
         recording_checks.check_ranges(ranges, [*names[0], *names[1]], np.hstack([states, inputs]), times)
     shift = asked if isinstance(asked, float) else 0.0
@@ -139,6 +140,8 @@ def from_arrays(
             kept += int(((times[rows] >= grid[0]) & (times[rows] < grid[-1] + step)).sum())
     recording_checks.say_what_is_lost(len(xs), short, kept, states, inputs, times, names, step)
     recording_checks.say_how_it_is_cut(cut, [run for run, _ in signals], names[0], step, gap)
+    if not jumped:
+        mixups.say(xs, us, cut, labels_of, [*names[0], *names[1]])
     lag = late_commands.found(xs, us, step) if asked is None else {"command_shift": shift}
     missing = ~(np.isfinite(states).all(axis=1) & np.isfinite(inputs).all(axis=1) & np.isfinite(times))
     origin = {

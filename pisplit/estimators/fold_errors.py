@@ -32,7 +32,8 @@ class RolloutVerdict:
 
     error     median over all steps; of roll-outs of limited length the square of their mean error at the last step:
               what grows from step to step is not judged by its beginning, and few roll-outs through states that the
-              pairs do not reach do not decide alone
+              pairs do not reach do not decide alone. Where many roll-outs from all over the recordings are judged at
+              once, the mean square
     early     the same for the first part of every roll-out, one for each of ``PARTS``; infinite if it diverged there
     diverged  whether one of them diverged
     """
@@ -51,6 +52,8 @@ def judged(model: LiftedModel, fold: Fold, states: States, weights: Array) -> Ro
 
 
 def _typical(squared: Sequence[Array], fold: Fold) -> float:
+    if fold.untouched:
+        return float(np.mean([e[-1] for e in squared]))
     if fold.horizon is not None:
         return float(np.mean([np.sqrt(e[-1]) for e in squared]) ** 2)
     values = np.concatenate(squared)

@@ -22,6 +22,8 @@ MAX_HELD_OUT = 4
 #: Spread of an input direction, in parts of that of all recordings, up to which training pairs do not know it, and
 #: from which on held-out recordings move it.
 UNSEEN, MOVED = 0.1, 0.3
+#: Roll-outs of limited length in which no pair was learned from, all in all, from which on these alone are held out.
+UNTOUCHED = 150
 #: Roll-outs of limited length begin so many times a horizon: each alone is a matter of chance.
 OVERLAP = 5
 
@@ -37,6 +39,7 @@ class Fold:
     name      what reports call them: "recording 3", "recordings 2 and 7", "steps 40 to 60"
     horizon   steps of its roll-outs, None: as long as the stretches are
     unseen    input direction that these recordings move and no training pair does, "" if there is none
+    untouched whether it is the only one, of roll-outs all over the recordings that pass no pair
     """
 
     training: Pairs
@@ -46,6 +49,7 @@ class Fold:
     name: str
     horizon: int | None = None
     unseen: str = ""
+    untouched: bool = False
 
 
 def make_folds(
@@ -58,8 +62,9 @@ def make_folds(
     horizon  steps of a roll-out; None: to the end
     folds    their number; 1 holds out a fifth of the recordings once (of one recording the last third). None: each of
              fewer than 10 recordings in turn (with a ``horizon`` each half of them, so that more is left to learn
-             from), five folds of more; where at least four recordings have no pair, these
-             alone; of one recording five stretches of time
+             from; where enough roll-outs of it pass no pair, as of few pairs out of long recordings, these alone),
+             five folds of more; where at least four recordings have no pair, these alone; of one recording five
+             stretches of time
 
     Raises ValueError, in one line, for data of which nothing can be held out.
     """
@@ -75,7 +80,7 @@ def make_folds(
     elif len(long_enough) < 2:
         groups = [long_enough]
     elif folds is None and horizon is not None and len(long_enough) < LEAVE_ONE_OUT:
-        return _halves(cut, pairs, long_enough)
+        return _untouched(cut, pairs, long_enough) or _halves(cut, pairs, long_enough)
     else:
         wanted = min(folds or default_folds(len(long_enough)), len(long_enough))
         parts = [[long_enough[i] for i in part] for part in episode_groups(len(long_enough), wanted)]
@@ -110,6 +115,26 @@ def _halves(cut: _Cut, pairs: Pairs, numbers: Sequence[int]) -> tuple[Fold, ...]
     if not made:
         raise ValueError("alpha='cv' has no pairs left beside the held-out episodes; give more episodes, or alpha")
     return tuple(made)
+
+
+def _untouched(cut: _Cut, pairs: Pairs, numbers: Sequence[int]) -> tuple[Fold, ...]:
+    """One fold of all roll-outs that pass no pair, and judge what all pairs make; () if too few do."""
+    pieces, seen = [], []
+    for i in numbers:
+        used = np.zeros(len(cut.d1.us[i]) + 1, dtype=np.int64)
+        used[pairs.index[pairs.episode == i] + 1] = 1
+        before = np.cumsum(used)  # pairs up to a step
+        free = [(a, b) for a, b in cut.windows(len(cut.d1.us[i]), 1) if before[b] == before[max(a - 1, 0)]]
+        free = [(a, b) for a, b in free if b - a == cut.horizon]
+        if free:
+            pieces.append(cut.pieces(i, free))
+            seen.append(i)
+    if sum(map(len, pieces)) < UNTOUCHED or 2 * len(seen) <= len(numbers):
+        return ()
+    xs, us = [x for part in pieces for x in part.xs], [u for part in pieces for u in part.us]
+    whole = replace(cut.d1, xs=xs, us=us, extra={})
+    kept = np.ones(len(pairs), dtype=bool)
+    return (Fold(pairs, kept, whole, tuple(seen), "steps without a pair", cut.horizon, untouched=True),)
 
 
 def _stretches(cut: _Cut, pairs: Pairs, folds: int | None) -> tuple[Fold, ...]:
@@ -150,19 +175,28 @@ class _Cut:
     def stretch(self, i: int, first: int, last: int) -> Episodes:
         return self._of([(self.d1.xs[i][first : last + 1], self.d1.us[i][first:last])])
 
+    def pieces(self, i: int, windows: Sequence[tuple[int, int]]) -> Episodes:
+        """Roll-outs between the steps ``windows`` of recording ``i``."""
+        x, u = self.d1.xs[i], self.d1.us[i]
+        xs = [x[first - self.delays : last + 1] for first, last in windows]
+        return replace(self.d1, xs=xs, us=[u[first - self.delays : last] for first, last in windows], extra={})
+
     def _of(self, runs: list[tuple[Array, Array]]) -> Episodes:
         xs, us = [], []
         for x, u in runs:
-            for first, last in self._windows(len(u)):
+            for first, last in self.windows(len(u)):
                 xs.append(x[first - self.delays : last + 1])
                 us.append(u[first - self.delays : last])
         return replace(self.d1, xs=xs, us=us, extra={})
 
-    def _windows(self, steps: int) -> list[tuple[int, int]]:
-        """First and last step of each roll-out: one, or full horizons that begin a fifth of one after another."""
+    def windows(self, steps: int, every: int | None = None) -> list[tuple[int, int]]:
+        """First and last step of each roll-out: one, or full horizons.
+
+        They begin ``every`` so many steps; None: a fifth of a horizon.
+        """
         if self.horizon is None or steps - self.start <= self.horizon:
             return [(self.start, steps)]
-        starts = range(self.start, steps - self.horizon + 1, max(1, self.horizon // OVERLAP))
+        starts = range(self.start, steps - self.horizon + 1, every or max(1, self.horizon // OVERLAP))
         return [(first, first + self.horizon) for first in starts]
 
 
