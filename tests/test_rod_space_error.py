@@ -76,3 +76,21 @@ def test_a_scene_of_one_input_is_checked_too() -> None:
     pulled = rod.Tendons([(0.004, 0.0)], rod.Tension())
     run = rod.Scene(body, pulled, rod.Retardation(0.02), nodes=4).simulator(0.02).run(np.full((6, 1), 0.02))
     assert run.success and run.error is not None
+
+
+@pytest.mark.parametrize(("nodes", "silent"), [(4, False), (7, True)])
+@pytest.mark.parametrize("scheme", ["fast", "gauss"])
+def test_steps_of_any_scheme_are_judged_in_space(scheme: str, nodes: int, silent: bool) -> None:
+    """A soft rod that is let go under its weight: its error is known, and told where it is large."""
+    body = rod.Rod(0.3, rod.Circle(4e-3), rod.Elastic(4e6, 1.4e6, 1100.0), "planar")
+    scene = rod.Scene(body, rod.Retardation(0.02), rod.Gravity((9.81, 0.0, 0.0)), nodes=nodes)
+    mover = scene.fast_stepper(0.02) if scheme == "fast" else scene.stepper(0.02, step=5e-3)
+    commands, start = np.empty((15, 0)), np.zeros(2 * nodes)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = mover.run(commands, start)
+    fine = Motion(scene.with_nodes(nodes + 4), 0.02, commands, np.zeros(2 * nodes + 8))
+    true = grown(motion_error(found, moved(fine)))
+    assert found.error is not None and grown(found.error) == pytest.approx(true, rel=0.3, abs=3e-4)
+    assert (true < 1e-3) == silent == (not told)
+    assert silent or "give more nodes than 4" in str(told[0].message)

@@ -37,26 +37,45 @@ def checked_first(plant: Propagation, found: Trajectory) -> tuple[MotionError | 
     """Estimated error of the motion ``found`` of ``plant``, and what is wrong with it, empty where nothing is.
 
     In time: the same commands once more with smaller steps on the same nodes, as far as ``plant.checked_steps``
-    internal steps went; given up where that takes more than one call. In space: see ``SpaceError``, over 500 commands,
-    where the scheme damps waves that it does not resolve (their accelerations would be taken for errors of the grid).
+    internal steps went; given up where that takes more than one call. In space: see ``SpaceError``, over 500 commands.
+    Schemes that keep waves which they do not resolve, whose accelerations it takes for errors of the grid, are looked
+    at as far as in time, and what it finds too large is moved once more on the finer grid, with the smaller steps.
     The error is that of both together; None where it is not known over the whole motion.
     """
     steps = int(np.ceil(len(found.u) * min(1.0, plant.checked_steps / max(1, found.stats["nsteps"]))))
-    part, long = _first(found, steps), _first(found, LONGEST)
-    in_space = _grown(plant.space_error.of(long)) if plant.damps_waves else None
-    wrong = ["" if in_space is None else told(plant, in_space, f"give more nodes than {plant.scene.nodes}")]
+    part, more = _first(found, steps), f"give more nodes than {plant.scene.nodes}"
+    long = _first(found, LONGEST) if plant.damps_waves else part
+    in_space: MotionError | None = _grown(plant.space_error.of(long))
+    wrong = ["" if in_space is None else told(plant, in_space, more)]
     try:
         states, _ = plant.sharper.integrate(part.x[0], part.u)
     except RuntimeError as failure:
+        if not plant.damps_waves:
+            wrong.clear()
         wrong.insert(0, f"the motion cannot be checked: {plant.scheme} gives up with smaller steps: {reason(failure)}")
         return None, "; ".join(w for w in wrong if w)
-    in_time = motion_error(part, replace(part, x=np.vstack([part.x[0], np.hstack([states, part.u])])))
+    sharp = replace(part, x=np.vstack([part.x[0], np.hstack([states, part.u])]))
+    in_time = motion_error(part, sharp)
+    if wrong[0] and not plant.damps_waves:
+        in_space, why = _on_finer(plant, sharp)
+        wrong = [why if in_space is None else told(plant, in_space, more)]
     wrong.insert(0, told(plant, _grown(in_time), plant.remedy))
     error = None
     if in_space is not None and len(part.t) == len(long.t) == len(found.t):
         distance, drift = in_space.distance + in_time.distance / SEEN, in_space.drift + in_time.drift / SEEN
         error = replace(in_space, distance=distance, drift=drift)
     return error, "; ".join(w for w in wrong if w)
+
+
+def _on_finer(plant: Propagation, sharp: Trajectory) -> tuple[MotionError | None, str]:
+    """Error in space of the motion ``sharp``, by the finer grid with steps as small, or None and why it has none."""
+    try:
+        finer = plant.finer.run(sharp.u, plant.resolution.on_finer(sharp.x[0]), check=False)
+    except ValueError as failure:  # a tip that is held elsewhere there
+        return None, f"the motion cannot be checked on more nodes: {failure}"
+    if not finer.success:
+        return None, f"the motion cannot be checked on more nodes: {finer.message}"
+    return motion_error(sharp, finer), ""
 
 
 def _first(found: Trajectory, steps: int) -> Trajectory:

@@ -341,7 +341,7 @@ class Propagation(Rebuilt, ABC):
                 placed[k, :size] = self.projection.state(np.concatenate([row[:size], commands[k]]), at)[:size]
             except ValueError as error:
                 return placed[:k], f"{self.scheme} lost the tip: {error}"
-        return placed, ""
+        return self._before_a_turn(placed)
 
     def _before_a_turn(self, rows: Array) -> tuple[Array, str]:
         """``rows`` up to where a ball joint at the base has almost made a turn, if there is one, and why they end."""
