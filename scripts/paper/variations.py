@@ -66,12 +66,12 @@ def vary(
     methods = list({method.name: method for method in methods}.values())
     n2 = min(SAMPLES, scale.samples)
     most = scale.training * scale.steps // 4
+    sizes = {n1: draws for n1, draws in SIZES.items() if n1 < most} or {most // 2: 1}
     cells = [
         Cell(law, method.name, n1, n2, seed)
         for law in sources
         for method in methods
-        for n1, draws in SIZES.items()
-        if n1 < most
+        for n1, draws in sizes.items()
         for seed in range(draws)
     ]
     first = next(iter(sources.values()))
