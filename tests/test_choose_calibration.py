@@ -15,7 +15,7 @@ from pisplit.models.arm.tendon_arm import TendonArm
 from pisplit.models.calibration import choose_calibration
 from pisplit.models.calibration.choice import compared, hopeless, worse, worth
 from pisplit.models.calibration.choosing import over_disks
-from pisplit.models.calibration.judging import HeldOut
+from pisplit.models.calibration.judging import FitEnd, HeldOut
 from pisplit.models.calibration.model import ParametrisedArm
 from pisplit.models.calibration.motion import Known, Motion
 from pisplit.models.calibration.problem import Problem
@@ -75,6 +75,13 @@ def test_the_form_is_chosen_by_roll_outs(arm: TendonArm) -> None:
     np.testing.assert_allclose(ahead.errors, along.errors, rtol=1e-4)
     said = held.doubts(model, wrong, ahead, (2e-4, 4e-3, 0.05))
     assert len(said) == 1 and "the form is wrong" in said[0]
+    # parameters that the data leave vague explain as much: then it is the data that are too few
+    for size, why in ((1e-3, "the form is wrong"), (0.3, "too few")):
+        end = FitEnd(model.first, np.eye(len(model.first)) / size**2, 1.0)
+        said = held.doubts(model, wrong, ahead, (2e-4, 4e-3, 0.05), end)
+        assert len(said) == 1 and why in said[0]
+    told = held.doubts(model, wrong, ahead, (2e-4, 4e-3, 0.05), replace(end, why="no step goes downhill"))
+    assert "did not come to its end" in told[0] and told[1:] == said
     assert over.name in found.report() and along.name in found.report()
     assert found.plot().axes
 

@@ -18,7 +18,7 @@ from pisplit.models.calibration.choice import TriedCalibration, compared, hopele
 from pisplit.models.calibration.estimates import Estimate
 from pisplit.models.calibration.evidence import Evidence
 from pisplit.models.calibration.gauss_newton import Fitted
-from pisplit.models.calibration.judging import Ahead, HeldOut
+from pisplit.models.calibration.judging import Ahead, FitEnd, HeldOut
 from pisplit.models.calibration.model import Calibration, CalibrationError, ParametrisedArm
 from pisplit.models.calibration.parameters import TendonParameters
 from pisplit.models.calibration.windows import Windows, stretches
@@ -233,7 +233,8 @@ class Candidates:
         found = self.tried[number].calibration
         assert found is not None  # a candidate without one is never chosen
         model = self.model(self.arms[number], found.parameters, self.tried[number].free, found.actuator)
-        return self.held.doubts(model, found, self.ahead_of[number], self.errors)
+        end = FitEnd.of(self.ends[number]) if number in self.ends else None
+        return self.held.doubts(model, found, self.ahead_of[number], self.errors, end)
 
     def guess(
         self, first: TendonParameters, servo: Actuator, extra: tuple[str, ...], before: tuple[str, ...]
