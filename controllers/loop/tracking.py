@@ -25,7 +25,8 @@ class Move:
     expected under the plan. ``missing``: entries of the measurement that were not there (NaN), for which the model's
     prediction stood; ``rejected``: those that an observer did not believe. ``stuck``: states whose sensors repeat
     themselves while the arm must have moved; they count as missing. ``warning``: what the controller has to say, empty
-    otherwise; loops note it.
+    otherwise; loops note it. ``acting`` (m,): what the controller takes to act on its model over the step, behind the
+    delays and servos that it knows; u if not given.
     """
 
     u: Array
@@ -40,6 +41,7 @@ class Move:
     stuck: tuple[int, ...] = ()
     action: str = ""
     warning: str = ""
+    acting: Array | None = None
 
 
 class Controller(Protocol):

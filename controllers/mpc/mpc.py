@@ -392,6 +392,7 @@ class MPC:
             rejected=found.rejected,
             stuck=found.stuck,
             warning=self._doubted(),
+            acting=acting,
         )
 
     def _ahead(self) -> Array:

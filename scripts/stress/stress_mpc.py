@@ -1,8 +1,10 @@
 """Closed loops under everything that goes wrong: inputs inside their limits, the log survives, all is counted.
 
-Each run draws a plant, a model of it (or of another system), limits, a controller, a reference and a few faults: signs
-flipped, infeasible starts of outputs, NaN, sensors that stick, outliers, exceptions in the plant, callbacks that raise,
-limits that are tightened under way, models that grow.
+Each run draws a plant, a model of it (or of another one), limits, a controller, a reference and a few faults: signs
+flipped, inputs swapped, infeasible starts of outputs, NaN, sensors that stick, outliers, exceptions in the plant,
+callbacks that raise, limits that are tightened under way, models that grow. How soon a wrong model is named is timed
+from the first input that moved, over the time in which all was measured; loops on the right model are not to be
+suspected.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ DT, STEPS = 0.05, 60
 #: Faults, and how often a run has each.
 FAULTS = {
     "flipped sign": 0.15,
+    "inputs swapped": 0.1,
+    "another arm's model": 0.1,
     "unstable model": 0.1,
     "infeasible outputs": 0.2,
     "NaN": 0.3,
@@ -49,6 +53,14 @@ FAULTS = {
     "few iterations": 0.2,
 }
 
+#: What an innovation test should speak of beside wrong models: loops that leave what was recorded, and measurements.
+UNUSUAL = {"unstable model", "far reference", "stuck sensor", "outliers"}
+#: Models of another plant, and plants with other wires.
+OTHERS = {"flipped sign", "inputs swapped", "another arm's model"}
+
+#: What is said of inputs that do not act as the model says.
+MIXED_UP = ("the other way round", "in each other's place")
+
 
 class Oscillators(WrappedPlant):
     """n points on springs, pushed by m inputs, with a force that grows with the cube of the way."""
@@ -58,7 +70,7 @@ class Oscillators(WrappedPlant):
         self._omega, self._damping = rng.uniform(2.0, 12.0, n), rng.uniform(0.02, 0.5, n)
         self._pull, self._cubic = rng.uniform(-1.0, 1.0, (n, m)), float(rng.uniform(0.0, 2.0))
         self._sizes = n, m
-        self.sign, self.raises_at, self.fails_at = 1.0, -1, -1
+        self.mixing, self.raises_at, self.fails_at = np.eye(m), -1, -1
         self._x = np.zeros(2 * n)
         super().__init__(_Inner(n, m))
 
@@ -75,7 +87,7 @@ class Oscillators(WrappedPlant):
             return PlantStep(self._x.copy(), False, "emergency stop")
         h, p, v = DT / 8, self._x[:n], self._x[n:]
         for _ in range(8):
-            force = self.sign * self._pull @ np.asarray(u) - p - self._cubic * p**3
+            force = self._pull @ self.mixing @ np.asarray(u) - p - self._cubic * p**3
             v = (v + h * self._omega**2 * force) / (1.0 + 2.0 * h * self._damping * self._omega)
             p = p + h * v
         self._x, self._k = np.concatenate([p, v]), self._k + 1
@@ -98,15 +110,21 @@ class _Inner:
         return PlantStep(np.zeros(self.n_states))
 
 
-def fitted(plant: Oscillators, rng: np.random.Generator) -> tuple[LiftedModel, Episodes]:
-    """A linear, delay or bilinear model of recordings, and others of them."""
+def recorded(plant: Oscillators, rng: np.random.Generator, number: int) -> Episodes:
+    """Recordings of the plant under steps of its inputs."""
     n, m = plant.n_states, plant.n_inputs
     xs, us = [], []
-    for _ in range(4):
+    for _ in range(number):
         u = np.repeat(rng.uniform(-1.0, 1.0, (15, m)), 6, axis=0)
         xs.append(np.array([plant.reset(), *(plant.step(v).state for v in u)]))
         us.append(u)
-    named: dict[str, Any] = {"outputs": {"tip": tuple(range(n // 2))}}
+    return Episodes(xs, us, DT, outputs={"tip": tuple(range(n // 2))})
+
+
+def fitted(plant: Oscillators, rng: np.random.Generator) -> tuple[LiftedModel, Episodes]:
+    """A linear, delay or bilinear model of recordings, and others of them."""
+    n, m = plant.n_states, plant.n_inputs
+    data = recorded(plant, rng, 6)
     kind = rng.integers(3)
     parts: list[Any] = [ob.Constant(), ob.Identity()]
     if kind == 1:
@@ -115,20 +133,51 @@ def fitted(plant: Oscillators, rng: np.random.Generator) -> tuple[LiftedModel, E
         parts.append(ob.Bilinear())
     theta = Dictionary(*parts, n_states=n, n_inputs=m)
     estimator = (BilinearEDMDc if kind == 2 else LinearEDMDc)(theta, 1e-8)
-    return estimator.fit(Episodes(xs[:3], us[:3], DT, **named)).lifted, Episodes(xs[3:], us[3:], DT, **named)
+    return estimator.fit(data[:3]).lifted, data[3:]
+
+
+def mixed_up(plant: Oscillators, faults: list[str], rng: np.random.Generator) -> tuple[LiftedModel, Episodes, bool]:
+    """A model of the ``plant`` or, by its ``faults``, not, and the recordings that it belongs to; whether it is wrong.
+
+    It is wrong where a step of this plant is predicted less than a third as well as one of its own recordings.
+    """
+    n, m, own = plant.n_states, plant.n_inputs, plant
+    if "another arm's model" in faults:
+        own = Oscillators(rng)
+        while (own.n_states, own.n_inputs) != (n, m):
+            own = Oscillators(rng)
+    model, data = fitted(own, rng)
+    if "flipped sign" in faults:
+        plant.mixing = -plant.mixing
+    if "inputs swapped" in faults:
+        plant.mixing = np.roll(plant.mixing, 1, axis=0)
+    if own is plant and (plant.mixing == np.eye(m)).all():
+        return model, data, False
+    return model, data, missed(model, recorded(plant, rng, 1)) > 3.0 * missed(model, data)
+
+
+def missed(model: LiftedModel, episodes: Episodes) -> float:
+    """Root mean square of what the ``model`` misses in a step of the ``episodes``, in parts of its states' ranges."""
+    D = model.n_delays
+    parts = []
+    for x, u in zip(episodes.xs, episodes.us, strict=True):
+        at = np.arange(D, len(u))
+        z = model.lift(x[at[:, None] + np.arange(-D, 1)], u[at[:, None] + np.arange(-D, 0)])
+        parts.append((x[at + 1] - model.read(model.rollout(z, u[at][:, None]).z[:, 1])) / model.state_range)
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
 def one(seed: int) -> tuple[LoopLog | None, list[str], list[str]]:
     """A run: its log, its faults, and what is wrong with what came out."""
     rng = np.random.default_rng(seed)
     plant = Oscillators(rng)
-    model, recorded = fitted(plant, rng)
     faults = [name for name, chance in FAULTS.items() if rng.uniform() < chance]
+    model, data, wrong_model = mixed_up(plant, faults, rng)
+    faults += ["wrong model"] * wrong_model
     n, m = plant.n_states, plant.n_inputs
     p = n // 2
     if "unstable model" in faults:
         model = replace(model, A=model.A * rng.uniform(1.05, 1.4))
-    plant.sign = -1.0 if "flipped sign" in faults else 1.0
     around: Any = plant
     if "stuck sensor" in faults:
         stuck = rng.choice(n, int(rng.integers(1, n + 1)), replace=False).tolist()
@@ -151,7 +200,7 @@ def one(seed: int) -> tuple[LoopLog | None, list[str], list[str]]:
     reference = references.setpoint(target, [0.2, 1.0, 2.0])
     plant.raises_at = int(rng.integers(STEPS)) if "plant raises" in faults else -1
     plant.fails_at = int(rng.integers(STEPS)) if "plant fails" in faults else -1
-    watch = InnovationWatch(model, recorded)
+    watch = InnovationWatch(model, data)
     spoil = int(rng.integers(STEPS)) if "callback raises" in faults else -1
 
     def callback(step: Any) -> Any:
@@ -199,6 +248,33 @@ def judged(log: LoopLog, low: Array, high: Array, rate: Array, first: int = 0) -
     return found
 
 
+def counted(log: LoopLog, faults: list[str], counts: Counter[str], times: list[float]) -> None:
+    """Whether a wrong model was named, and after how long, or a right one suspected."""
+    mixed = [note for note in log.notes if any(text in note for text in MIXED_UP)]
+    said = [note for note in log.notes if "innovations are" in note or note in mixed]
+    if "wrong model" not in faults:
+        if not set(faults) & (UNUSUAL | OTHERS):
+            counts["loops on right models"] += 1
+            counts["of these suspected"] += bool(said)
+        return
+    if "unstable model" in faults:  # its recordings contradict it, which is said before any loop
+        return
+    moving = np.flatnonzero(np.abs(log.u - log.u0).max(axis=1) > 0.05)
+    known = np.array([not np.isnan(x).any() for x in log.x])
+    whole = known[1:] & known[:-1]
+    first = int(moving[0]) if len(moving) else len(log.u)
+    at = round(float(said[0].split("t = ")[1].split(" s")[0]) / DT) if said else len(log.u)
+    after = DT * int(np.count_nonzero(whole[first:at]))  # in which one could know
+    if said:
+        times.append(after)
+    elif after > 1.0:
+        times.append(np.inf)
+    named = "wrong models that moved"
+    counts[named] += bool(said) or after > 1.0
+    counts[f"{named}: named within 1 s"] += bool(said) and after <= 1.0 + 1e-9
+    counts[f"{named}: named by what is mixed up"] += bool(mixed)
+
+
 def main() -> None:
     """Run them all and count."""
     made = parser((__doc__ or "").splitlines()[0])
@@ -209,6 +285,7 @@ def main() -> None:
         made.error(f"--runs {runs}; expected at least one")
     counts: Counter[str] = Counter()
     wrong: dict[int, list[str]] = {}
+    times: list[float] = []
     for k in tqdm(range(runs), desc="closed loops", unit="run"):
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -222,14 +299,13 @@ def main() -> None:
             counts.update({f"fallback: {name}": n for name, n in Counter(filter(None, log.actions)).items()})
             counts["runs with stuck sensors found"] += bool(log.stuck.any())
             counts["runs ended early, with their log"] += log.stopped
-            seen = int(np.count_nonzero(~np.isnan(log.x[1:]).any(axis=1) & ~np.isnan(log.x[:-1]).any(axis=1)))
-            flipped = bool("flipped sign" in faults and seen > 20 and np.ptp(log.u, axis=0).max() > 0.05)
-            counts["flipped signs that moved"] += flipped
-            said = any("innovations are" in n or "the other way round" in n for n in log.notes)
-            counts["flipped signs noticed"] += flipped and said
+            counted(log, faults, counts, times)
     report = Report.of("MPC under stress", given)
     report.figure("runs", runs, "")
     report.figure("runs with a breach (limits, log, names)", len(wrong), "", ("<=", 0))
+    if times:
+        report.figure("median time until a wrong model is named", float(np.median(times)), "s", ("<=", 1.0))
+        report.figure("wrong models not named within 1 s", sum(t > 1.0 + 1e-9 for t in times), "", ("<=", 0))
     for name, n in sorted(counts.items()):
         report.figure(name, n, "")
     for k, found in list(wrong.items())[:10]:
