@@ -79,6 +79,12 @@ def cases(arm: TendonArm, seed: int) -> list[Case]:
     def with_term(term: Any) -> TendonArm:
         return replace(arm, scene=scene + term)
 
+    def softer(arm: TendonArm, part: float) -> TendonArm:
+        body = arm.scene.rod
+        assert isinstance(body.material, rod.Elastic)
+        material = replace(body.material, young=part * body.material.young, shear=part * body.material.shear)
+        return replace(arm, scene=rod.Scene(replace(body, material=material), *arm.scene.terms, nodes=arm.scene.nodes))
+
     def outliers(plant: Any) -> Any:
         return plants.Outliers(noisy(plant, seed), 0.01, 0.5, [tip], seed)
 
@@ -113,6 +119,8 @@ def cases(arm: TendonArm, seed: int) -> list[Case]:
         Case("noise, 1 % outliers of 0.5 m", arm, "tip", outliers),
         Case("20 g at the tip, not told", with_term(payload), "all", target=20.0),
         Case("20 g at the tip, identified again", with_term(payload), "", target=0.1, again=True),
+        Case("E x 0.9, not told", softer(arm, 0.9), "all", target=0.1),
+        Case("20 g and E x 0.9, identified again", softer(with_term(payload), 0.9), "", target=0.1, again=True),
         Case("play of 0.5 mm", arm, "all", lambda p: plants.ActuatedPlant(p, Actuator(play=5e-4)), 0.1),
         Case("servo lag of 30 ms", arm, "all", lambda p: plants.ActuatedPlant(p, Actuator(lag=0.03))),
         Case("force of 0.02 N at the tip", with_term(rod.TipWrench(force=(0.0, 0.02, 0.0))), "all", target=0.1),

@@ -110,6 +110,22 @@ def test_shapes_at_rest_weigh_it_too(arm: TendonArm, loaded: LoopLog) -> None:
     assert abs(mass.value - 0.02) < 3.0 * mass.error and mass.error < 5e-3
 
 
+def test_a_limit_cycle_tells_payload_and_stiffness_at_once(arm: TendonArm) -> None:
+    """Inputs thrown from limit to limit, on an arm that is far from what was known of it."""
+    body, turns = (
+        arm.scene.rod,
+        2e-3 * np.array([[1.0, -0.5, -0.5], [0.0, 1.0, -1.0], [-1.0, 0.5, 0.5], [0.0, -1.0, 1.0]]),
+    )
+    assert isinstance(body.material, rod.Elastic)
+    soft = replace(body.material, young=0.85 * body.material.young, shear=0.85 * body.material.shear)
+    scene = rod.Scene(replace(body, material=soft), *arm.scene.terms, nodes=arm.scene.nodes)
+    heavy = changed(replace(arm, scene=scene), rod.PointMass(s=body.length, mass=0.03))
+    u = arm.rest_inputs + np.cumsum(np.repeat(turns, 3, axis=0)[np.arange(36) % 12], axis=0)
+    found = ArmIdentifier(arm, windows=12, steps=4).calibrated(log_of(heavy, u))
+    known = {e.name: e.value for e in found.estimates}
+    assert abs(known["tip_mass"] - 0.03) < 1e-4 and abs(known["bending"] - 0.85) < 2e-3
+
+
 def test_what_the_log_does_not_say_is_refused(arm: TendonArm, loaded: LoopLog) -> None:
     with pytest.raises(ValueError, match="identify no tip_mass: move the arm more"):
         ArmIdentifier(arm, ("load",), None, 1.0, 1.0, 10.0, windows=2, steps=3).calibrated(loaded)

@@ -33,7 +33,8 @@ class InputFault:
 
 
 def input_faults(model: LiftedModel) -> tuple[InputFault, ...]:
-    """The faults of inputs that are looked for: all of them or one flipped; two, or up to three, in other places."""
+    """The faults of the inputs of a ``model`` that are looked for: all or one of them flipped; two or three in other
+    places."""
     names, m = model.input_names, model.n_inputs
     found = [InputFault("the inputs act the other way round: a flipped sign, or wires that were swapped", -np.eye(m))]
     if m == 1:

@@ -6,6 +6,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from pisplit.models.arm import TendonArm
 from pisplit.models.arm.resting import RestShapes
 from pisplit.models.calibration import (
     Calibration,
+    TendonParameters,
     calibrate_from_recordings,
     calibrate_from_shapes,
     nominal_parameters,
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
 
 #: Windows of the log and their steps: longer ones of violent motion jump between solutions.
 WINDOWS, STEPS = 16, 6
+#: Windows and steps of a first fit, from whose parameters all others are followed: single steps are nearly linear,
+#: where longer windows of a limit cycle jump between solutions far from the parameters, and a fit to them does not end.
+FEW, SHORT = 8, 1
 #: One of so many stretches is calm.
 CALM = 4
 #: Misses in standard deviations of the sensors from which on what was freed does not explain the log.
@@ -131,17 +136,40 @@ class ArmIdentifier:
 
     def _fit(self, log: LoopLog, free: Sequence[str], servo: Actuator | None) -> Calibration:
         if self.shapes is not None and servo is None:
-            s, start = self.shapes, nominal_parameters(self.arm)
+            s, known = self.shapes, nominal_parameters(self.arm)
             if "load" in free:  # a search that begins on its bound, no mass, stays there
-                start = replace(start, tip_mass=start.tip_mass + FIRST_MASS)
+                known = replace(known, tip_mass=known.tip_mass + FIRST_MASS)
             return calibrate_from_shapes(
-                self.arm, s.inputs, s.fields, s.position_error, s.rotation_error, s.stations, free, start
+                self.arm, s.inputs, s.fields, s.position_error, s.rotation_error, s.stations, free, known
             )
-        fields, moves = cut(log, self.arm, self.windows, self.steps, servo is not None)
+        start: TendonParameters | None = None
+        if servo is None and self.windows > FEW and self.steps > SHORT:
+            with suppress(RuntimeError, ValueError):  # then from the arm as it was known
+                start = self._followed(log, free, FEW, SHORT, None, None).parameters
+        return self._followed(log, free, self.windows, self.steps, servo, start)
+
+    def _followed(
+        self,
+        log: LoopLog,
+        free: Sequence[str],
+        windows: int,
+        steps: int,
+        servo: Actuator | None,
+        start: TendonParameters | None,
+    ) -> Calibration:
+        """The fit to so many ``windows`` of the ``log`` of so many ``steps``, from ``start``."""
+        fields, moves = cut(log, self.arm, windows, steps, servo is not None)
         errors = self.position_error, self.rotation_error, self.rate_error
-        stations = fields.shape[2] // N_FIELDS
         return calibrate_from_recordings(
-            self.arm, fields, moves, log.dt, *errors, stations=stations, free=free, actuator=servo
+            self.arm,
+            fields,
+            moves,
+            log.dt,
+            *errors,
+            stations=fields.shape[2] // N_FIELDS,
+            free=free,
+            start=start,
+            actuator=servo,
         )
 
 
