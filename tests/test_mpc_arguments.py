@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from example_models import arm_model
+from pisplit import Dictionary, Episodes, LinearEDMDc
+from pisplit import observables as ob
 from pisplit.controllers import MPC, FeedForward, QPSettings
 
 
@@ -93,3 +95,28 @@ def test_a_model_without_inputs_controls_nothing() -> None:
     ):
         with pytest.raises(ValueError, match="the model has no inputs: nothing can be controlled"):
             make()
+
+
+def test_a_model_that_does_not_predict_over_the_horizon_is_refused() -> None:
+    rng, xs, us = np.random.default_rng(0), [], []
+    for _ in range(3):
+        u, x = np.repeat(rng.uniform(-1.0, 1.0, (12, 1)), 5, axis=0), [np.zeros(2)]
+        for v in u:
+            x.append(np.array([[0.95, 0.3], [-0.3, 0.9]]) @ x[-1] + np.array([0.0, 0.2]) * v)
+        xs.append(np.array(x))
+        us.append(u)
+    data = Episodes(xs, us, 0.05, outputs={"tip": (0,)})
+    theta = Dictionary(ob.Constant(), ob.Identity(), n_states=2, n_inputs=1)
+    right = LinearEDMDc(theta, 1e-9).fit(data[:2]).lifted
+    wrong = replace(right, A=0.6 * right.A, B=-right.B)  # of another system
+    good = MPC(right, 20, -1.0, 1.0, 0.5, recordings=data[2:])
+    assert not any("forced" in note for note in good.notes)
+    with pytest.raises(
+        ValueError, match=r"does not carry MPC: .* of the spread .* 20 steps ahead; expected at most 0.4"
+    ):
+        MPC(wrong, 20, -1.0, 1.0, 0.5, recordings=data[2:])
+    with pytest.warns(UserWarning, match="MPC was forced"):
+        forced = MPC(wrong, 20, -1.0, 1.0, 0.5, recordings=data[2:], force=True)
+    assert forced.notes[-1].startswith("forced: predictions")
+    forced.limit(u_max=0.8)  # what was forced once is not asked again
+    MPC(right, 200, -1.0, 1.0, 0.5, recordings=data[2:])  # as far as the recordings go

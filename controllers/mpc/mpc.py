@@ -24,6 +24,7 @@ from pisplit.controllers.loop.tracking import (
     start_input,
     tracked_states,
 )
+from pisplit.controllers.mpc.carried import check_carried
 from pisplit.controllers.mpc.fallback import PLAN, Fallback
 from pisplit.controllers.mpc.growth import warn_of_growth
 from pisplit.controllers.mpc.latency import Latency
@@ -45,6 +46,8 @@ from pisplit.threads import one_blas_thread
 GAIN = 0.3  # of the disturbance estimate, where there is no delay
 #: Innovations, in parts of what the observer expects, that are too large, and steps in a row until that is said.
 LOUD, BORNE = 3.0, 8
+#: Arguments that a controller on other limits or another model does not share.
+OWN = ("self", "model", "observer", "recordings", "force", "__class__")
 
 
 class MPC:
@@ -89,6 +92,10 @@ class MPC:
     play if not given): too little of it costs less than too much. ``actuator_inputs``: how a command is reached, "ramp"
     or "step".
 
+    ``recordings``: of the plant, best such that the model did not learn from; a model whose predictions of them are off
+    by more than 0.4 times the spread of the tracked outputs at the end of the horizon is refused, with ``force`` only
+    warned of and noted. :meth:`pisplit.Identified.mpc` gives those that it held out.
+
     ``stuck_after``: a reading that repeats itself exactly so many times, while the inputs moved and the model predicts
     that it changed, is taken for not measured until it changes (``Move.stuck`` names it); None trusts all readings.
 
@@ -128,8 +135,10 @@ class MPC:
         actuator: Actuator | None = None,
         actuator_inputs: str = "ramp",
         play_error: float | None = None,
+        recordings: Episodes | None = None,
+        force: bool = False,
     ) -> None:
-        self._arguments = {k: v for k, v in locals().items() if k not in ("self", "model", "observer", "__class__")}
+        self._arguments = {k: v for k, v in locals().items() if k not in OWN}
         self.model = model = model_of(model, "model")
         self._H = count(horizon, "horizon")
         self._latency = Latency(command_delay, measurement_delay)
@@ -142,6 +151,8 @@ class MPC:
         self.notes = held_directions(model, basis, input_basis is not None)
         p, H = len(self.tracked), self._H
         rows = list(self.tracked)
+        if recordings is not None and (told := check_carried(model, recordings, H, rows, force)):
+            self.notes = (*self.notes, told)
         warn_of_growth(model.A, H)
         self._wanted: Array | None
         self._plan: Array | None

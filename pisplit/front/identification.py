@@ -113,7 +113,8 @@ class Identified:
         u_max, u_min   limits of the inputs, numbers or (m,), in their unit; those of the recordings if not given, but
                        ``u_min`` mirrors a given ``u_max`` at rest
         du_max         largest change per step, a number or (m,); that of the recordings if not given
-        settings       of :class:`pisplit.controllers.MPC`, such as horizon, track or rate_weight
+        settings       of :class:`pisplit.controllers.MPC`, such as horizon, track or rate_weight; ``force=True`` tries
+                       models whose error of held-out recordings over the horizon is above 0.4 times their spread
         """
         from pisplit.front.control import Control
 
