@@ -52,8 +52,10 @@ def c_step(mpc: MPC, name: str) -> str:
 
 
 def _refuse(mpc: MPC) -> None:
-    if not mpc.model.linear_in_u:
-        raise ValueError("C of the step is for models linear in the inputs; this one is linearised at every step")
+    if not mpc.model.features_are_inputs or mpc.model.relifted is not None:
+        raise ValueError("C of the step is for linear and bilinear models; this one has other features or is re-lifted")
+    if mpc.model.varies and mpc._latency.part:
+        raise ValueError("C of the step of a bilinear model knows whole steps of delay; round the delays")
     if mpc._problem.n_variables != mpc._problem.n_moves:
         raise ValueError("C of the step knows no output limits; leave y_min and y_max out")
     if not mpc._servos.idle:
@@ -92,7 +94,10 @@ def _sizes(mpc: MPC) -> dict[str, Any]:
         "MEAN_SIZE": MEAN_SIZE,
         "SLOWLY": SLOWLY,
         "THERE": THERE,
-        "RESTS": int(mpc.steady.exists),
+        "BILINEAR": int(model.varies),
+        "CHANGED": 0 if model.bilinear_term is None else len(model.bilinear_term.rows),
+        "COLUMNS": 0 if model.bilinear_term is None else len(model.bilinear_term.columns),
+        "RESTS": int(_at_rest(mpc)),
         "RESTING": int(_resting(mpc) is not None),
     }
 
@@ -100,12 +105,12 @@ def _sizes(mpc: MPC) -> dict[str, Any]:
 def _numbers(mpc: MPC) -> dict[str, Array]:
     """Arrays by their names in C."""
     model, limits, problem, observer = mpc.model, mpc._limits, mpc._problem, mpc._estimation.observer
-    prediction, m, M = mpc._prediction, model.n_inputs, model.n_lifted
+    m, M = model.n_inputs, model.n_lifted
     box = slice(0, len(problem.rate_rows))
     normal = np.zeros(m) if limits.normal is None else limits.normal
     p, r = len(mpc.tracked), limits.basis.shape[1]
     resting = _resting(mpc)
-    output, gain, push = mpc.steady.affine() if mpc.steady.exists else (np.zeros(p), np.zeros((p, r)), np.zeros((p, M)))
+    output, gain, push = mpc.steady.affine() if _at_rest(mpc) else (np.zeros(p), np.zeros((p, r)), np.zeros((p, M)))
     per_half = problem.T / limits.amplitude[:, None]
     rest_state, rest_slope = (np.zeros(M), np.zeros((M, m))) if resting is None else resting
     kalman = usual = np.zeros(0)
@@ -115,11 +120,7 @@ def _numbers(mpc: MPC) -> dict[str, Array]:
         "B": model.B,
         "c": model.c,
         "d": model.d,
-        "free": prediction.condensed.free,
-        "push": prediction.condensed.disturbance,
-        "constant": prediction.constant,
-        "late": prediction.late,
-        "S": prediction.nominal,
+        **_predicted(mpc),
         "Q": problem.weights_of_outputs,
         "moved": problem.input_hessian,
         "change": problem.rate_hessian,
@@ -146,15 +147,34 @@ def _numbers(mpc: MPC) -> dict[str, Array]:
     }
 
 
+def _predicted(mpc: MPC) -> dict[str, Array]:
+    """What predictions are made of: condensed once, or the products of a bilinear model."""
+    prediction, term, none = mpc._prediction, mpc.model.bilinear_term, np.zeros(0)
+    names = ("free", "push", "constant", "late", "S", "N")
+    if term is not None:
+        assert mpc.model.N is not None
+        return dict.fromkeys(names, none) | {"N": mpc.model.N[:, term.rows][:, :, term.columns]}
+    condensed = prediction.condensed
+    values = (condensed.free, condensed.disturbance, prediction.constant, prediction.late, prediction.nominal, none)
+    return dict(zip(names, values, strict=True))
+
+
+def _at_rest(mpc: MPC) -> bool:
+    """Whether the steady target is known in C: that of a bilinear model is not."""
+    return mpc.steady.exists and not mpc.model.varies
+
+
 def _indices(mpc: MPC) -> dict[str, Any]:
     observer = mpc._estimation.observer
-    return {"tracked": mpc.tracked, "sensors": () if observer is None else observer.measured.tolist()}
+    term = mpc.model.bilinear_term
+    products = {} if term is None else {"changed": term.rows.tolist(), "column": term.columns.tolist()}
+    return {"tracked": mpc.tracked, **products, "sensors": () if observer is None else observer.measured.tolist()}
 
 
 def _resting(mpc: MPC) -> tuple[Array, Array] | None:
     """Fixed points z (M,) + slope (M, m) u of the model, None where it has none or they are not asked for."""
     model = mpc.model
-    if mpc._estimation.observer is None:
+    if mpc._estimation.observer is None or model.varies:
         return None
     try:
         start = model.fixed_point(np.zeros(model.n_inputs))

@@ -300,8 +300,12 @@ class MPC:
 
         With ``name`` = NAME it defines ``name_state``, ``name_reset(state, u0)`` and ``name_step(state, x, r, u)``,
         which returns NAME_SOLVED or what stood in for a solution; the head of the file says the rest. The program is
-        solved exactly, by the dual active-set method of Goldfarb and Idnani. Raises ValueError for models that are not
-        linear in the inputs, output limits, ``stuck_after`` that is not None, and a name that is no identifier.
+        solved exactly, by the dual active-set method of Goldfarb and Idnani. A bilinear model is
+        rolled out and condensed along the plan in C too; its steady target is not known there: a run without solutions
+        goes from the plan to the hold, and a filter begins with the first whole measurement.
+
+        Raises ValueError for models that are neither linear nor bilinear, fractions of a step of delay of a bilinear
+        one, output limits, ``stuck_after`` that is not None, and a name that is no identifier.
         """
         from pisplit.controllers.mpc.c_code import c_step
 

@@ -25,6 +25,9 @@ typedef struct {
   int doubts[@N@_SENSORS + 1];
   double level;
   int factorised;
+#if @N@_BILINEAR
+  double S[@N@_STAGES * @N@_OUTPUTS * @N@_MOVES], grown[@N@_LIFTED * @N@_MOVES], before[@N@_LIFTED * @N@_MOVES];
+#endif
   unsigned char specified[@N@_STAGES * @N@_OUTPUTS];
   double K[@N@_MOVES * @N@_MOVES];
   /* scratch of a step */
@@ -51,12 +54,25 @@ static int @n@_finite(const double *a, int n) {
   return 1;
 }
 
-/* z+ = A z + B u + c + w; a row of A is kept from its first to its last entry that is not zero. */
+#if @N@_BILINEAR
+/* after += sum_i u_i N_i z, on the rows that products change, from the columns that they have. */
+static void @n@_products(const double *z, const double *u, double *after) {
+  double part[@N@_COLUMNS + 1];
+  for (int j = 0; j < @N@_COLUMNS; ++j) part[j] = z[@n@_column[j]];
+  for (int i = 0; i < @N@_INPUTS; ++i)
+    for (int k = 0; k < @N@_CHANGED; ++k)
+      after[@n@_changed[k]] += u[i] * @n@_dot(@n@_N + (i * @N@_CHANGED + k) * @N@_COLUMNS, part, @N@_COLUMNS);
+}
+#endif
+/* z+ = A z + B u (+ sum_i u_i N_i z) + c + w; a row of A is kept from its first to its last entry that is not zero. */
 static void @n@_next(const double *z, const double *w, const double *u, double *after) {
   for (int i = 0; i < @N@_LIFTED; ++i) {
     const int first = @n@_span[3 * i], size = @n@_span[3 * i + 1], at = @n@_span[3 * i + 2];
     after[i] = @n@_dot(@n@_A + at, z + first, size) + @n@_dot(@n@_B + i * @N@_INPUTS, u, @N@_INPUTS) + @n@_c[i] + w[i];
   }
+#if @N@_BILINEAR
+  @n@_products(z, u, after);
+#endif
 }
 static double @n@_read(int i, const double *z) {
   const int first = @n@_Cspan[3 * i], size = @n@_Cspan[3 * i + 1], at = @n@_Cspan[3 * i + 2];
@@ -299,11 +315,64 @@ static int @n@_solve(@n@_state *s, const double *K, const double *q, int stages)
   return 0;
 }
 
+#if @N@_BILINEAR
+#define @N@_RESPONSE s->S
+/* Outputs s.y at no moves, and s.S, their derivative along the shifted plan, from z, which is left at its end. */
+static void @n@_along(@n@_state *s, double *z, double *after) {
+  const int n = @N@_MOVES, r = @N@_COORDINATES;
+  double u[@N@_INPUTS], part[@N@_COLUMNS + 1], slope[@N@_INPUTS], N[@N@_CHANGED * @N@_COLUMNS + 1];
+  for (int j = 0; j < @N@_STAGES; ++j) {
+    for (int i = 0; i < @N@_INPUTS; ++i)
+      u[i] = @n@_offset[i] + @N@_SCALE * @n@_dot(@n@_basis + i * r, s->plan + j * r, r);
+    for (int i = 0; i < @N@_LIFTED; ++i) { /* A on what earlier moves did, B on this one */
+      const int first = @n@_span[3 * i], size = @n@_span[3 * i + 1], at = @n@_span[3 * i + 2];
+      double *row = s->grown + i * n;
+      for (int k = 0; k < n; ++k) row[k] = 0.0;
+      if (j)
+        for (int l = 0; l < size; ++l) @n@_add(@n@_A[at + l], s->before + (first + l) * n, row, j * r);
+      for (int l = 0; l < @N@_INPUTS; ++l)
+        for (int k = 0; k < r; ++k) row[j * r + k] += @N@_SCALE * @n@_B[i * @N@_INPUTS + l] * @n@_basis[l * r + k];
+    }
+    for (int k = 0; k < @N@_COLUMNS; ++k) part[k] = z[@n@_column[k]];
+    for (int k = 0; k < @N@_CHANGED * @N@_COLUMNS; ++k) {
+      N[k] = 0.0;
+      for (int i = 0; i < @N@_INPUTS; ++i) N[k] += u[i] * @n@_N[i * @N@_CHANGED * @N@_COLUMNS + k];
+    }
+    for (int k = 0; k < @N@_CHANGED; ++k) {
+      double *row = s->grown + @n@_changed[k] * n;
+      if (j)
+        for (int l = 0; l < @N@_COLUMNS; ++l)
+          @n@_add(N[k * @N@_COLUMNS + l], s->before + @n@_column[l] * n, row, j * r);
+      for (int i = 0; i < @N@_INPUTS; ++i)
+        slope[i] = @n@_dot(@n@_N + (i * @N@_CHANGED + k) * @N@_COLUMNS, part, @N@_COLUMNS);
+      for (int i = 0; i < @N@_INPUTS; ++i)
+        for (int l = 0; l < r; ++l) row[j * r + l] += @N@_SCALE * slope[i] * @n@_basis[i * r + l];
+    }
+    @n@_next(z, s->w, u, after);
+    for (int i = 0; i < @N@_LIFTED; ++i) z[i] = after[i];
+    for (int l = 0; l < @N@_OUTPUTS; ++l) {
+      const int i = @n@_tracked[l];
+      const int first = @n@_Cspan[3 * i], size = @n@_Cspan[3 * i + 1], at = @n@_Cspan[3 * i + 2];
+      double *row = s->S + (j * @N@_OUTPUTS + l) * n;
+      for (int k = 0; k < n; ++k) row[k] = 0.0;
+      for (int k = 0; k < size; ++k) @n@_add(@n@_C[at + k], s->grown + (first + k) * n, row, (j + 1) * r);
+      s->y[j * @N@_OUTPUTS + l] = @n@_read(i, z) + s->readout[i] - @n@_dot(row, s->plan, (j + 1) * r);
+    }
+    for (int k = 0; k < @N@_LIFTED * n; ++k) s->before[k] = s->grown[k];
+  }
+}
+#else
+#define @N@_RESPONSE @n@_S
+#endif
+
 /* The plan for outputs s.y that are free, reference r and coordinates v of the input before. */
 static int @n@_plan(@n@_state *s, const double *r, const double *v) {
   const int n = @N@_MOVES, p = @N@_STAGES * @N@_OUTPUTS, k = @N@_STAGES * @N@_MOVING;
   if (!@n@_finite(s->y, p)) return 0;
-  int changed = !s->factorised;
+#if @N@_BILINEAR
+  if (!@n@_finite(s->S, p * n)) return 0;
+#endif
+  int changed = @N@_BILINEAR || !s->factorised;
   for (int i = 0; i < p; ++i) {
     const unsigned char known = !isnan(r[i]);
     changed |= known != s->specified[i];
@@ -316,7 +385,7 @@ static int @n@_plan(@n@_state *s, const double *r, const double *v) {
     for (int l = 0; l < p; ++l)
       if (s->specified[l])
         for (int i = 0; i < n; ++i)
-          for (int j = 0; j <= i; ++j) P[i * n + j] += @n@_S[l * n + i] * @n@_Q[l] * @n@_S[l * n + j];
+          for (int j = 0; j <= i; ++j) P[i * n + j] += @N@_RESPONSE[l * n + i] * @n@_Q[l] * @N@_RESPONSE[l * n + j];
     s->factorised = @n@_factorise(P, n, s->L, s->K);
     if (!s->factorised) return 0;
   }
@@ -324,7 +393,7 @@ static int @n@_plan(@n@_state *s, const double *r, const double *v) {
   for (int l = 0; l < p; ++l)
     if (s->specified[l]) {
       const double pull = @n@_Q[l] * (s->y[l] - r[l]);
-      for (int i = 0; i < n; ++i) s->q[i] += pull * @n@_S[l * n + i];
+      for (int i = 0; i < n; ++i) s->q[i] += pull * @N@_RESPONSE[l * n + i];
     }
   for (int i = 0; i < @N@_COORDINATES; ++i)
     s->q[i] -= @n@_dot(@n@_change + i * @N@_COORDINATES, v, @N@_COORDINATES);
@@ -521,10 +590,14 @@ static int @n@_step(@n@_state *s, const double *x, const double *reference, doub
       @n@_next(z, s->w, acting, after);
       for (int i = 0; i < @N@_LIFTED; ++i) z[i] = after[i];
     }
+#if @N@_BILINEAR
+    @n@_along(s, z, after);
+#else
     for (int l = 0; l < @N@_STAGES * @N@_OUTPUTS; ++l)
       s->y[l] = @n@_dot(@n@_free + l * @N@_LIFTED, z, @N@_LIFTED) + @n@_dot(@n@_push + l * @N@_LIFTED, s->w, @N@_LIFTED) +
                 @n@_constant[l] + @n@_dot(@n@_late + l * @N@_COORDINATES, v, @N@_COORDINATES) +
                 s->readout[@n@_tracked[l % @N@_OUTPUTS]];
+#endif
     if (s->blind <= @N@_STAGES) solved = @n@_plan(s, r, v);
   }
   for (int i = 0; i < @N@_INPUTS; ++i)

@@ -154,7 +154,12 @@ class LiftedModel:
     @cached_property
     def linear_in_u(self) -> bool:
         """True if phi(u) = u and the model is not bilinear."""
-        if self.varies or self.n_features != self.n_inputs:
+        return not self.varies and self.features_are_inputs
+
+    @cached_property
+    def features_are_inputs(self) -> bool:
+        """True if phi(u) = u."""
+        if self.n_features != self.n_inputs:
             return False
         rng = np.random.default_rng(0)
         probe = rng.standard_normal((8, self.n_inputs)) * np.logspace(-3, 3, 8)[:, None]
