@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 import pisplit as ps
-from pisplit.front.commands import main
+from pisplit.front.commands import main, parser
 from pisplit.models import systems
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -187,6 +188,24 @@ def test_the_program_is_there() -> None:
     run = [sys.executable, "-m", "pisplit.front.commands", "--version"]
     done = subprocess.run(run, capture_output=True, text=True, env=dict(os.environ))
     assert done.returncode == 0 and done.stdout.strip() == f"pisplit {ps.__version__}"
+
+
+def test_every_argument_says_what_it_is() -> None:
+    top = parser()
+    (commands,) = [a for a in top._actions if isinstance(a, argparse._SubParsersAction)]
+    for name, one in commands.choices.items():
+        assert "--json" in one.format_help() and "exit codes: 0 done, 1 " in " ".join(one.format_help().split()), name
+        assert [a.dest for a in one._actions if not a.help] == [], name
+    assert "(default: 0.1)" in commands.choices["track"].format_help()
+
+
+def test_a_shell_is_told_how_a_line_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("argcomplete")
+    for line, expected in (("pisplit re", {"record", "report"}), ("pisplit track --ref", {"--reference"})):
+        told = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "|"}
+        told["_ARGCOMPLETE_STDOUT_FILENAME"] = str(tmp_path / "answer")
+        subprocess.run([sys.executable, "-m", "pisplit"], env={**os.environ, **told}, check=True)
+        assert {word.strip() for word in (tmp_path / "answer").read_text().split("|")} == expected
 
 
 def test_who_reads_no_further_is_no_error(tmp_path: Path) -> None:

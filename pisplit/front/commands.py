@@ -1,11 +1,14 @@
 """The command line: ``pisplit record``, ``identify``, ``report``, ``track``, ``export``, ``bench``, ``demo``.
 
 Exit codes: 0 done, 1 the data or files do not allow it (said in one line), 2 wrong arguments, 3 a loop that stopped.
+Shells complete commands, options and files where argcomplete is installed (``pip install pisplit[completion]``) and
+told of them: ``eval "$(register-python-argcomplete pisplit)"``.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import sys
@@ -19,13 +22,25 @@ from pisplit.front.words import add_words, of_tables
 
 ARMS = {"paper": TendonArm.paper, "prototype": TendonArm.prototype}
 FAILED, STOPPED = 1, 3
+CODES = "exit codes: 0 done, 1 data or files do not allow it (one line says why), 2 wrong arguments, 3 a loop stopped"
 #: Files that a run is written to.
 PLACES = (".png", ".html", ".h5")
 
 
+class _Help(argparse.ArgumentDefaultsHelpFormatter):
+    """Help that tells defaults, where there are any."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default is None or action.default is False or action.default == [] or action.required:
+            return action.help
+        return super()._get_help_string(action)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command of ``argv`` (the process's own arguments if not given); its exit code."""
-    given = parser().parse_args(argv)
+    made = parser()
+    _complete(made)
+    given = made.parse_args(argv)
     try:
         facts, code = given.run(given)
         if given.json:
@@ -39,49 +54,66 @@ def main(argv: Sequence[str] | None = None) -> int:
     return int(code)
 
 
+def _complete(made: argparse.ArgumentParser) -> None:
+    """Answer a shell that asks how a line goes on, and leave; nothing where none asks."""
+    if "_ARGCOMPLETE" not in os.environ:
+        return
+    try:
+        completion: Any = importlib.import_module("argcomplete")
+    except ImportError:
+        return
+    completion.autocomplete(made)
+
+
 def parser() -> argparse.ArgumentParser:
     """The commands and their arguments."""
-    made = argparse.ArgumentParser(prog="pisplit", description="models of soft arms from little data, and MPC on them")
+    made = argparse.ArgumentParser(
+        prog="pisplit",
+        description="models of soft arms from little data, and MPC on them",
+        epilog=f"'pisplit COMMAND --help' tells the options of a command; every one takes --json; {CODES}",
+    )
     made.add_argument("--version", action="version", version=f"pisplit {__version__}")
     commands = made.add_subparsers(required=True, metavar="command")
 
     def command(name: str, run: Any, text: str) -> argparse.ArgumentParser:
-        one = commands.add_parser(name, help=text, description=text)
+        one = commands.add_parser(name, help=text, description=text, epilog=CODES, formatter_class=_Help)
         one.add_argument("--json", action="store_true", help="print facts as JSON on standard output, and nothing else")
         one.set_defaults(run=run)
         return one
 
     record = command("record", _record, "recordings of a simulated arm")
-    record.add_argument("--episodes", type=int, default=10)
-    record.add_argument("--steps", type=int, default=200)
-    record.add_argument("--seed", type=int, default=0)
-    record.add_argument("--out", type=Path, required=True, help="HDF5 file")
+    record.add_argument("--episodes", type=int, default=10, help="recordings")
+    record.add_argument("--steps", type=int, default=200, help="of each recording")
+    record.add_argument("--seed", type=int, default=0, help="of the random commands")
+    record.add_argument("--out", type=Path, required=True, metavar="PATH", help="HDF5 file to write")
     fit = command("identify", _identify, "the best model that recordings allow, with a report")
     fit.add_argument("files", nargs="+", type=Path, help="recordings: one HDF5 file, CSV files, or one MATLAB file")
     add_words(fit)
     fit.add_argument("--candidates", nargs="+", help="models to try; all that the data allow if not given")
-    fit.add_argument("--out", type=Path, required=True, help="file of the model")
+    fit.add_argument("--out", type=Path, required=True, metavar="PATH", help="HDF5 file of the model and its report")
     report = command("report", _report, "the report that a model was saved with")
-    report.add_argument("model", type=Path)
+    report.add_argument("model", type=Path, help="file that pisplit identify wrote")
     track = command("track", _track, "model predictive control of a simulated arm along a circle")
-    track.add_argument("model", type=Path)
-    track.add_argument("--reference", choices=["circle"], default="circle")
-    track.add_argument("--radius", type=float, default=0.1, help="in m")
-    track.add_argument("--period", type=float, default=4.0, help="in s")
-    track.add_argument("--steps", type=int, default=400)
-    track.add_argument("--u-max", type=float, default=0.016)
-    track.add_argument("--du-max", type=float, default=0.002)
-    track.add_argument("--rate-weight", type=float, default=0.1)
-    track.add_argument("--out", type=Path, nargs="+", default=[], help=".png, .html or .h5 files of the run")
+    track.add_argument("model", type=Path, help="file that pisplit identify wrote")
+    track.add_argument("--reference", choices=["circle"], default="circle", help="what the tip follows")
+    track.add_argument("--radius", type=float, default=0.1, help="of the circle in m")
+    track.add_argument("--period", type=float, default=4.0, help="of a round in s")
+    track.add_argument("--steps", type=int, default=400, help="of the loop")
+    track.add_argument("--u-max", type=float, default=0.016, help="largest input, in its SI unit")
+    track.add_argument("--du-max", type=float, default=0.002, help="largest change of an input in a step")
+    track.add_argument("--rate-weight", type=float, default=0.1, help="weight of changes of inputs")
+    track.add_argument(
+        "--out", type=Path, nargs="+", default=[], metavar="PATH", help=".png, .html or .h5 files of the run"
+    )
     export = command("export", _export, "a model as a C header")
-    export.add_argument("model", type=Path)
+    export.add_argument("model", type=Path, help="file that pisplit identify wrote")
     export.add_argument("--c", type=Path, required=True, metavar="PATH", help="header to write")
     demo = command("demo", _demo, "the five lines of the README: record, identify, track; pictures and a page")
     demo.add_argument("--quick", action="store_true", help="fewer recordings and models")
     demo.add_argument("--out", type=Path, default=Path("out/five-lines"), help="folder of the pictures")
     timed = command("bench", _bench, "times beside errors on this machine, in a minute: statics, motion, a fit, MPC")
     timed.add_argument("--steps", type=int, default=60, help="of each motion and loop")
-    timed.add_argument("--seed", type=int, default=0)
+    timed.add_argument("--seed", type=int, default=0, help="of the random commands")
     for one in (record, fit, track, demo):
         one.add_argument("--arm", choices=ARMS, default=None if one is fit else "paper", help="a simulated arm")
     return made
