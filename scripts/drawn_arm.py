@@ -80,7 +80,12 @@ def recorded(arm: TendonArm, episodes: int, seconds: float, seed: int) -> list[M
 
 
 def logged(
-    folder: Path, motions: list[Motion], rounding: float, late: float, shift: float | None = None, units: bool = True
+    folder: Path,
+    motions: list[Motion],
+    rounding: float,
+    late: float,
+    shift: float | str | None = None,
+    units: bool = True,
 ) -> Episodes:
     """Files of cameras and servos in a folder, and what one call loads of them; its warnings are printed.
 
@@ -158,10 +163,16 @@ def noise_of(d1: Episodes) -> float:
     return float(np.median([c.noise for c in d1.report().columns if c.kind == "state" and c.noise]))
 
 
-def closed(arm: TendonArm, model: Any, train: Episodes, held: Episodes, seed: int, steps: int) -> tuple[Array, Array]:
-    """True tip (T, 2) in m in a loop along the figure-eight, and the reference (T, 2), from the approach on."""
+def closed(
+    arm: TendonArm, model: Any, train: Episodes, held: Episodes, seed: int, steps: int, answers_late: bool = False
+) -> tuple[Array, Array]:
+    """True tip (T, 2) in m in a loop along the figure-eight, and the reference (T, 2), from the approach on.
+
+    The robot ``answers_late`` where a command moves it a step after it was sent.
+    """
     stepper = arm.scene.fast_stepper(DT, stations=STATIONS)
-    plant = plants.Markers(stepper, SEEN, NOISE, seed=seed)
+    robot = plants.DelayedCommands(stepper, 1) if answers_late else stepper
+    plant = plants.Markers(robot, SEEN, NOISE, seed=seed)
     rest, box = arm.rest_inputs, 2.0 * arm.amplitude
     limits = (rest - box, rest + box, 0.2 * arm.amplitude)
     with warnings.catch_warnings():
@@ -188,17 +199,38 @@ def draw(found: dict[str, tuple[Array, Array]], path: Path) -> None:
     save_figure(figure, path)
 
 
+def compare_early(report: Report, arm: TendonArm, motions: list[Motion], given: Any, steps: int) -> None:
+    """A log that is a step early and a robot that answers a step late write the same files: L on each, moved or not."""
+    for shift in (None, "found"):
+        d1 = logged(given.out / f"early-{shift or 'kept'}", motions, 1e-3, SHIFTS[1], shift)
+        train, held = d1[: len(motions) - 2], d1[len(motions) - 2 :]
+        model = fitted(LinearEDMDc, train)
+        for answers_late in (False, True):
+            true, wanted = closed(arm, model, train, held, given.seed, steps, answers_late)
+            error = 1e3 * float(np.sqrt(np.mean(np.sum((true - wanted)[20:] ** 2, axis=1))))
+            which = "robot that answers a step late" if answers_late else "log stamped a step early"
+            report.figure(f"{which}, commands {'moved as found' if shift else 'as logged'}: L-EDMDc", error, "mm")
+
+
 def main() -> None:
     """Record, log, load, fit, tune and track, for roundings and clocks."""
     made = parser((__doc__ or "").splitlines()[0], "out/drawn-arm")
     made.add_argument("--no-units", action="store_true", help="files whose columns name no unit; they are in m")
     made.add_argument("--front", action="store_true", help="by identify alone, told nothing but the logs")
+    made.add_argument(
+        "--early", action="store_true", help="a log that is early beside a robot that answers late, alone"
+    )
     given = made.parse_args()
     arm = drawn()
     print(arm.scene, end="\n\n")
     episodes, steps = (6, 200) if given.quick else (10, APPROACH + ROUNDS * round(PERIOD / DT))
     motions = recorded(arm, episodes, 10.0, given.seed)
     report = Report.of("an arm from a drawing, by its logs alone", given)
+    if given.early:
+        compare_early(report, arm, motions, given, steps)
+        report.write(given.json)
+        print(f"\n{report}")
+        return
     cases: list[Case] = [(rounding, 0.0, None, 0.3) for rounding in ROUNDINGS]
     cases += [(ROUNDINGS[-1], 0.0, "unrounded", 0.3)]
     cases += [(1e-3, SHIFTS[0], None, 0.5), (1e-3, SHIFTS[1], None, None), (1e-3, SHIFTS[1], "as told", 0.5)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pisplit.data.onset import find_onset, rounded
+from pisplit.data.onset import Onset, find_onset, rounded, unrounded_commands
 from pisplit.data.suspicions import noise_level
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
         step *= 0.5
     tried = np.column_stack([dt * grid, curve])
     if usual >= ALONE and least > (1.0 - SAMPLES) * usual:
-        onset = None if rounded(us) else find_onset(*data.whole, reach)
+        onset = _onset(xs, us, data, reach)
         if onset is not None and onset.error <= CLEAR * reach:
             return Latency(dt * onset.delay, dt * onset.error, least, usual, tried, True)
     if usual < ALONE or not least < (1.0 - VISIBLE) * usual:
@@ -117,6 +117,15 @@ def find_latency(xs: Sequence[Array], us: Sequence[Array], dt: float) -> Latency
     error = max(1.0 + min(1.0, 3.0 * least), float(np.abs(alike - best).max(initial=0.0)))
     told = error <= max(2.0, CLEAR * reach) and abs(best) <= reach - 1.0  # beyond the end there may be a better one
     return Latency(dt * best if told else None, dt * error if told else np.inf, least, usual, tried)
+
+
+def _onset(xs: Sequence[Array], us: Sequence[Array], data: _Pairs, reach: int) -> Onset | None:
+    """When the motion begins; of rounded commands as they may have been before, None where they hide it."""
+    if not rounded(us):
+        return find_onset(*data.whole, reach)
+    smooth = unrounded_commands(us)
+    again = None if smooth is None else _Pairs.of(xs, smooth, reach)
+    return None if again is None else find_onset(*again.whole, reach)
 
 
 def _averaged(z: Array, u: Array, reach: int) -> tuple[Array, Array]:

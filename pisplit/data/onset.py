@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pisplit.data.rounding import rounding, smoothest
+
 Array = NDArray[np.float64]
 
 #: Samples of old history, and a step between them in parts of the longest delay; components that are looked at.
@@ -22,8 +24,11 @@ PARTS, WINDOW, TOLD = (0.05, 0.1), 30, 0.3
 #: Times at which the growth may begin, in steps; by how much its misfit may grow within what is told, and by how much
 #: that of a force may exceed that of a velocity.
 FINE, MISFIT, LIKELY = 0.1, 2.0, 3.0
-#: Commands that are rounded to more than this part of their usual change are guessed from those that follow.
-ROUNDED = 0.006
+#: Commands that are rounded to more than this part of their usual change are guessed from those that follow; up to the
+#: second, as smooth as they may have been they show the beginning all the same.
+ROUNDED, SMOOTHED = 0.006, 0.03
+#: Commands are steady if so much of the time a new one comes at each of its turns.
+STEADY = 0.7
 #: Fewest delays that a growth is fitted to.
 FEWEST = 8
 #: No beginning is known better [steps].
@@ -82,6 +87,33 @@ def find_onset(zs: Sequence[Array], us: Sequence[Array], reach: int) -> Onset | 
 def rounded(us: Sequence[Array]) -> bool:
     """Whether any of the inputs ``us`` (T_i, m) is written so coarsely that later ones tell what was rounded away."""
     return any(_rounding(column) > ROUNDED for column in np.concatenate(list(us)).T)
+
+
+def unrounded_commands(us: Sequence[Array]) -> list[Array] | None:
+    """Inputs ``us`` (T_i, m) as smooth as they may have been before they were rounded; None where nobody can tell.
+
+    They are when they come at a steady rate, one sample or several for each, and rounding is small beside their usual
+    change.
+    """
+    every = np.concatenate(list(us))
+    if any(_rounding(column) > SMOOTHED for column in every.T):
+        return None
+    new = [np.flatnonzero((np.diff(u, axis=0) != 0.0).any(axis=1)) + 1 for u in us]
+    waits = np.concatenate([np.diff(at) for at in new])
+    if not len(waits):
+        return None
+    rate = int(waits.min())
+    sizes = [rounding(column) for column in every.T]
+    found = []
+    for u, at in zip(us, new, strict=True):
+        first = int(at[0] % rate) if len(at) else 0
+        if ((at - first) % rate).any() or len(at) * rate < STEADY * len(u):
+            return None
+        sent = np.vstack([u[:1], u[first::rate]]) if first else u[::rate]
+        smooth = np.column_stack([smoothest(v, size) for v, size in zip(sent.T, sizes, strict=True)])
+        held = np.repeat(smooth[1:] if first else smooth, rate, axis=0)
+        found.append(np.vstack([np.repeat(smooth[:1], first, axis=0), held])[: len(u)])
+    return found
 
 
 def _rounding(u: Array) -> float:

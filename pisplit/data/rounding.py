@@ -19,6 +19,8 @@ EXACT, MOST = 1e-3, 1e5
 COARSE = 0.02
 #: Inputs that stay for longer than this part of the steps are commands that are held, not smooth motion.
 HELD = 0.5
+#: Steps of the optimiser, at most.
+ITERATIONS = 2000
 
 
 def rounding(values: Array) -> float:
@@ -53,3 +55,25 @@ def held(columns: Sequence[Array]) -> bool:
     """Whether an input, with its ``columns`` (T_i,) of all recordings, stays as it is over most of its steps."""
     moved = np.concatenate([np.diff(c) for c in columns])
     return bool(len(moved) == 0 or np.mean(moved == 0.0) > HELD)
+
+
+def smoothest(values: Array, step: float) -> Array:
+    """The smoothest sequence within half a ``step`` of ``values`` (T,)."""
+    if step == 0.0 or len(values) < 3:
+        return values
+    from scipy.optimize import minimize  # slow to load, and needed here alone
+
+    scaled = (values - values[0]) / step
+
+    def roughness(v: Array) -> tuple[float, Array]:
+        second = np.diff(v, 2)
+        gradient = np.zeros(len(v))
+        gradient[:-2] += second
+        gradient[1:-1] -= 2.0 * second
+        gradient[2:] += second
+        return 0.5 * float(second @ second), gradient
+
+    bounds = np.column_stack([scaled - 0.5, scaled + 0.5])
+    options = {"maxiter": ITERATIONS, "maxfun": 4 * ITERATIONS, "ftol": 1e-12, "gtol": 1e-7}
+    found = minimize(roughness, scaled, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    return np.asarray(values[0] + step * np.clip(found.x, bounds[:, 0], bounds[:, 1]))

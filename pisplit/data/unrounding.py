@@ -9,13 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pisplit.checks import finite_array
 from pisplit.data.episodes import Episodes
-from pisplit.data.rounding import held, rounding
+from pisplit.data.rounding import held, rounding, smoothest
 from pisplit.data.warning import warn
 
 Array = NDArray[np.float64]
-
-#: Steps of the optimiser, at most.
-ITERATIONS = 2000
 
 
 def unrounded(episodes: Episodes, step: ArrayLike | None = None) -> Episodes:
@@ -48,28 +45,6 @@ def unrounded(episodes: Episodes, step: ArrayLike | None = None) -> Episodes:
     if left := [names[j] for j in range(m) if still[j] and sizes[j] > 0.0]:
         warn(f"{', '.join(left[:4])}: held for most of the time, and left as logged; what is smooth can be unrounded")
     sizes = np.where(still, 0.0, sizes)
-    smooth = [np.column_stack([_smooth(u[:, j], float(sizes[j])) for j in range(m)]) if m else u for u in us]
+    smooth = [np.column_stack([smoothest(u[:, j], float(sizes[j])) for j in range(m)]) if m else u for u in us]
     told = {"unrounded": sizes.tolist()}
     return replace(episodes, us=smooth, provenance={**(episodes.provenance or {}), **told})
-
-
-def _smooth(values: Array, step: float) -> Array:
-    """The smoothest sequence within half a ``step`` of ``values`` (T,)."""
-    if step == 0.0 or len(values) < 3:
-        return values
-    from scipy.optimize import minimize  # slow to load, and needed here alone
-
-    scaled = (values - values[0]) / step
-
-    def roughness(v: Array) -> tuple[float, Array]:
-        second = np.diff(v, 2)
-        gradient = np.zeros(len(v))
-        gradient[:-2] += second
-        gradient[1:-1] -= 2.0 * second
-        gradient[2:] += second
-        return 0.5 * float(second @ second), gradient
-
-    bounds = np.column_stack([scaled - 0.5, scaled + 0.5])
-    options = {"maxiter": ITERATIONS, "maxfun": 4 * ITERATIONS, "ftol": 1e-12, "gtol": 1e-7}
-    found = minimize(roughness, scaled, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
-    return np.asarray(values[0] + step * np.clip(found.x, bounds[:, 0], bounds[:, 1]))
