@@ -15,40 +15,6 @@ ROOT = Path(__file__).resolve().parent.parent
 
 #: What stands before the first block of a page, and replacements of text that shorten its blocks.
 BEFORE = {
-    "docs/control.md": """
-def read_sensors():
-    global sim, state
-    if "state" not in globals():
-        sim = arm.scene.simulator(dt=0.03)
-        state = sim.reset(arm.rest_inputs)
-    return state
-def send_command(u):
-    global state
-    state = sim.step(u).state
-""",
-    "docs/identification.md": """
-import numpy as np
-from pisplit import Dictionary, Episodes, LinearEDMDc, PhaseSamples, PIEDMDc, observables as ob
-from pisplit.models import systems
-from pisplit.models.arm import TendonArm, make_episodes
-arm = TendonArm.paper(3)
-rng = np.random.default_rng(0)
-u_rest = arm.rest_inputs + 4e-3 * rng.standard_normal((8, 3))
-x_rest = arm.scene.statics().solve_many(u_rest).states[:, : arm.scene.n_strains]
-d1 = make_episodes(arm, "d1.h5", episodes=4, steps=40, workers=1, progress=False)
-pairs = d1.pairs(1).sample(16, 0)
-x1, x2, u1, u2 = np.zeros((5, 3)), np.ones((5, 3)), np.zeros((4, 1)), np.ones((4, 1))
-def made(seeds):
-    spring = systems.duffing()
-    draws = [np.random.default_rng(k) for k in seeds]
-    runs = [g.uniform(-1, 1, (110, 1)) for g in draws]
-    return Episodes.from_system(spring, np.array([g.uniform(-1, 1, 2) for g in draws]), runs, 0.05)
-""",
-    "docs/rod.md": """
-import numpy as np
-U = np.linspace([0.010, -0.005, -0.005], [0.004, 0.001, -0.002], 4)
-t, T, V = np.arange(4.0), np.ones(4), np.ones(4)
-""",
     "README.md": "",
     "docs/recordings.md": f"""
 import sys
@@ -77,6 +43,7 @@ for k in range(4):
 }
 #: Pages that take nothing for granted: they begin in an empty folder.
 BEFORE |= {f"docs/tutorials/{name}.md": "" for name in ("rod", "koopman", "arm", "robot")}
+BEFORE |= {f"docs/{name}.md": "" for name in ("rod", "identification", "control")}
 SHORTER = {
     "docs/tutorials/arm.md": {
         'alpha="cv", penalty="ridge"': 'alpha=1e-3, penalty="ridge"',
@@ -110,25 +77,15 @@ SHORTER = {
         "steps=400": "steps=10",
     },
     "docs/identification.md": {
+        "TendonArm.paper()": "TendonArm.paper(3)",
+        "arm.record(10)": "arm.record(4, steps=40, workers=1, progress=False)",
+        "standard_normal((16, 3))": "standard_normal((4, 3))",
         "episodes=96": "episodes=4, steps=40, progress=False",
-        "calibrate_from_equilibria(arm, u_rest, x_rest)": "calibrate_from_equilibria(arm, u_rest[:4], x_rest[:4])",
         "in range(64)": "in range(4)",
         "windows=4, steps=8": "windows=2, steps=4",
         'alpha="cv", twin_alpha=1e-5': "alpha=1e-3, twin_alpha=1e-5",
         "sizes=[16, 64, 256], seeds=range(5)": "sizes=[16, 64], seeds=range(2)",
     },
-}
-#: What a page explains in words between two blocks, by a text of the later one.
-BETWEEN = {
-    "compare, learning_curve": """
-d1, test = made(range(4)), made(range(4, 6))
-theta = Dictionary(ob.Constant(), ob.Identity(), ob.Polynomials(3), n_states=2, n_inputs=1)
-d2 = PhaseSamples.from_system(systems.duffing(), rng.uniform(-1, 1, (200, 2)), np.zeros((200, 1)))
-edmdc, split = LinearEDMDc(theta, alpha=1e-6).fit(d1), PIEDMDc(theta, alpha=1e-6, penalty="ridge").fit(d1, d2)
-from dataclasses import replace
-d1, test = replace(d1, outputs={"tip": (0,)}), replace(test, outputs={"tip": (0,)})
-edmdc, split = edmdc.fit(d1), split.fit(d1, d2)
-""",
 }
 #: What a block claims, by the page and a text of the block: checked after it has run.
 AFTER = {
@@ -162,9 +119,6 @@ def test_the_code_of_a_page_runs_as_printed(page: str, tmp_path: Path, monkeypat
     names: dict[str, Any] = {"__name__": "page"}
     exec(BEFORE[page], names)
     for code in blocks(page):
-        for text in BETWEEN:
-            if text in code:
-                exec(BETWEEN[text], names)
         claimed = "".join(AFTER[where, text] for where, text in AFTER if where == page and text in code)
         for long, short in SHORTER.get(page, {}).items():
             code = code.replace(long, short)
