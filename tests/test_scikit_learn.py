@@ -113,3 +113,8 @@ def test_several_recordings_in_a_list_are_one() -> None:
     assert_array_equal(model.K_, LinearEDMDc(theta(3), 1e-6).fit(first + second).K_)
     with pytest.raises(ValueError, match="d1 is a list; expected Episodes"):
         LinearEDMDc(theta()).fit([first, 3.0])  # type: ignore[list-item]
+
+
+def test_a_search_without_a_scorer_is_refused_instead_of_being_scored_by_nan() -> None:
+    with pytest.raises((TypeError, ValueError), match="scoring must return a number"):
+        cross_val_score(LinearEDMDc(theta(), 1e-3), recordings(4), cv=4)

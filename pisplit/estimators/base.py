@@ -15,6 +15,7 @@ from pisplit.data.columns import in_order
 from pisplit.data.episodes import Episodes, Pairs
 from pisplit.data.noise import noise_margins
 from pisplit.data.phase import PhaseSamples
+from pisplit.data.sums import together
 from pisplit.dictionary.dictionary import Dictionary
 from pisplit.estimators.alpha_search import AlphaSearch, Choice, Fit, fit_at, fit_with_search
 from pisplit.estimators.boundedness import EXCURSION, Excitation, limited
@@ -91,8 +92,12 @@ class Estimator(Parameters):
         return result.x
 
     def score(self, episodes: Episodes, states: str | Sequence[int] | Sequence[str] | None = None) -> RolloutErrors:
-        """Errors of open-loop roll-outs of test episodes over the chosen states (output group, names or indices)."""
-        return rollout_errors(self._fitted(), episodes, states)
+        """Errors of open-loop roll-outs of test episodes over the chosen states (output group, names or indices).
+
+        They are no single number: searches of scikit-learn want ``scoring=RolloutScore(...)``. Several recordings in a
+        list are one.
+        """
+        return rollout_errors(self._fitted(), together(episodes, "episodes"), states)
 
     def _dictionary(self, d1: Episodes) -> Dictionary:
         """The dictionary with the names of the data."""
