@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pisplit.data.actuator import Actuator
 from pisplit.models import rod
+from pisplit.models.arm import disk_robot
 from pisplit.models.arm.tendon_arm import TendonArm
 
+TWO = ((0.2, (0.0, 0.1, 0.0)), (0.2, (0.0, 0.2, 0.0)))
 STEEL = rod.Elastic(207e9, 8e10, 8000.0)
 BODY = rod.Rod(0.5, rod.Circle(1e-3), STEEL)
 ARM = TendonArm.paper(nodes=3).scene
@@ -23,6 +26,35 @@ def refused(call: Callable[[], Any], *named: str) -> None:
     assert "\n" not in message
     for part in named:
         assert part in message, message
+
+
+@pytest.mark.parametrize(
+    ("build", "named"),
+    [
+        (lambda: rod.Base(slides=["x"]), ("slides", "'xyz'")),  # type: ignore[arg-type]
+        (lambda: rod.Base(slides=None), ("slides", "None")),  # type: ignore[arg-type]
+        (lambda: rod.HeldTip((0.0, 0.0, 0.5), axes=("x", "y")), ("axes", "'xyz'")),  # type: ignore[arg-type]
+        (lambda: rod.Rod(0.5, rod.Circle(1e-3), STEEL, elements=(0.2, 0.3), kinks=TWO), ("two at s = 0.2 m", "one")),
+        (lambda: rod.Scene(BODY, nodes=2).fast_stepper(0.03, stages=1), ("stages = 1", "2 or 3")),
+        (lambda: Actuator(lag=0.1).simulate(np.zeros((2, 1)), 0.1, np.zeros(1)), ("ndarray", "ActuatorState")),
+        (lambda: disk_robot(True), ("preset = True", "1, 2, 3, 4")),
+    ],
+)
+def test_joints_holders_kinks_and_servos(build: Callable[[], Any], named: tuple[str, ...]) -> None:
+    refused(build, *named)
+
+
+def test_a_plant_whose_tip_is_held_takes_no_snapshot_of_one_whose_tip_is_elsewhere() -> None:
+    body = rod.Rod(0.3, rod.Circle(5e-3), rod.Elastic(2e6, 8e5, 1070.0), "planar")
+    free = rod.Scene(body, rod.Retardation(0.02), nodes=3)
+    plants = [(free + rod.HeldTip((x, 0.0, 0.25))).stepper(0.03) for x in (0.05, 0.08)]
+    for plant in plants:
+        plant.reset()
+    mark = plants[0].snapshot()
+    plants[0].restore(mark)
+    before = plants[1].state
+    refused(lambda: plants[1].restore(mark), "the snapshot", "held")
+    assert np.array_equal(plants[1].state, before)
 
 
 @pytest.mark.parametrize("bad", [-0.4, 0.0, np.nan, np.inf, "long"])

@@ -185,7 +185,7 @@ def disk_robot(
 
     Raises ValueError for other presets.
     """
-    if preset not in PRESETS:
+    if isinstance(preset, bool) or preset not in PRESETS:
         raise ValueError(f"preset = {preset!r}; expected one of {', '.join(map(str, PRESETS))}")
     number, mu, lag, play, stiffness, mass = PRESETS[preset]
     drawing = TendonArm.paper()

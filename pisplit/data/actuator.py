@@ -71,6 +71,8 @@ class Actuator:
         ramp = one_of(inputs, "inputs", ("ramp", "step")) == "ramp"
         if start is None:
             start = ActuatorState.at(u[0] if len(u) else np.zeros(u.shape[1]))
+        elif not isinstance(start, ActuatorState):
+            raise ValueError(f"start is a {type(start).__name__}; expected an ActuatorState, as simulate() gives")
         parts = (("setpoint", start.setpoint), ("servo", start.servo), ("position", start.position))
         r, y, z = (finite_array(value, f"start.{name}", (u.shape[1],)) for name, value in parts)
         begin, end, t = self._setpoints(u, r, h, ramp)

@@ -48,7 +48,10 @@ def terms() -> st.SearchStrategy[list[Description]]:
     kinds: list[st.SearchStrategy[Description]] = [
         _term("gravity"),
         st.one_of(
-            _term("damping", ratio=logarithmic(1e-3, 10.0)), _term("bending damping", ratio=logarithmic(1e-3, 3.0))
+            _term("damping", ratio=logarithmic(0.03, 3.0)),
+            _term("damping", ratio=logarithmic(0.03, 3.0)),
+            _term("damping", ratio=logarithmic(1e-3, 10.0)),
+            _term("bending damping", ratio=logarithmic(1e-3, 3.0)),
         ),
         _term("linear drag", size=logarithmic(1e-3, 1.0)),
         _term("quadratic drag", size=logarithmic(1e-3, 10.0)),
@@ -77,7 +80,7 @@ def scenes() -> st.SearchStrategy[Description]:
     return st.fixed_dictionaries(
         {
             "strains": st.sampled_from(STRAINS),
-            "nodes": st.integers(2, 7),
+            "nodes": st.sampled_from((5, 6, 7, 8, 4, 3, 2)),
             "elements": st.sampled_from((1, 1, 1, 2)),
             "section": st.sampled_from(("circle", "circle", "tube", "tapered")),
             "length": logarithmic(0.02, 3.0),
@@ -96,11 +99,11 @@ def scenes() -> st.SearchStrategy[Description]:
 
 def drawn(number_of: int, seed: int) -> list[Description]:
     """So many different scenes, the same for the same seed."""
-    found: dict[str, Description] = {}
+    found: dict[str, Description] = {}  # one of a kind: variations of a scene judge little
 
     @seeded(seed)
     @settings(
-        max_examples=2 * number_of,
+        max_examples=3 * number_of,
         phases=(Phase.generate,),
         database=None,
         deadline=None,
@@ -108,7 +111,8 @@ def drawn(number_of: int, seed: int) -> list[Description]:
     )
     @given(scenes())
     def collect(described: Description) -> None:
-        found.setdefault(json.dumps(described), described)
+        kind = [described[part] for part in ("strains", "nodes", "elements", "pattern")]
+        found.setdefault(json.dumps([*kind, *(t["term"] for t in described["terms"])]), described)
 
     collect()
     # Hypothesis begins with simple scenes and repeats itself: of all that it gave, some from everywhere.

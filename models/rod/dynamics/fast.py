@@ -95,6 +95,8 @@ class FastStepper(Stepper):
     ) -> None:
         super().__init__(scene, dt, dt if step is None else step, stages, stations=stations, balance=balance)
         self.accuracy = positive(accuracy, "FastStepper accuracy")
+        if self.stages < 2:
+            raise ValueError(f"FastStepper stages = {stages}; expected 2 or 3")
         self._last = _Taken()
 
     @property

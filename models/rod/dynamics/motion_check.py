@@ -38,8 +38,8 @@ def checked_first(plant: Propagation, found: Trajectory) -> tuple[MotionError | 
 
     In time: the same commands once more with smaller steps on the same nodes, as far as ``plant.checked_steps``
     internal steps went; given up where that takes more than one call. In space: see ``SpaceError``, over 500 commands.
-    Schemes that keep waves which they do not resolve, whose accelerations it takes for errors of the grid, are looked
-    at as far as in time, and what it finds too large is moved once more on the finer grid, with the smaller steps.
+    It takes accelerations of waves for errors of the grid: what it finds too large is moved once more on the finer
+    grid, with the smaller steps. Schemes that keep waves which they do not resolve are looked at as far as in time.
     The error is that of both together; None where it is not known over the whole motion.
     """
     steps = int(np.ceil(len(found.u) * min(1.0, plant.checked_steps / max(1, found.stats["nsteps"]))))
@@ -56,9 +56,10 @@ def checked_first(plant: Propagation, found: Trajectory) -> tuple[MotionError | 
         return None, "; ".join(w for w in wrong if w)
     sharp = replace(part, x=np.vstack([part.x[0], np.hstack([states, part.u])]))
     in_time = motion_error(part, sharp)
-    if wrong[0] and not plant.damps_waves:
-        in_space, why = _on_finer(plant, sharp)
-        wrong = [why if in_space is None else told(plant, in_space, more)]
+    if wrong[0] and len(part.t) == len(long.t):
+        truly, why = _on_finer(plant, sharp)
+        if truly is not None or not plant.damps_waves:
+            in_space, wrong = truly, [why if truly is None else told(plant, truly, more)]
     wrong.insert(0, told(plant, _grown(in_time), plant.remedy))
     error = None
     if in_space is not None and len(part.t) == len(long.t) == len(found.t):

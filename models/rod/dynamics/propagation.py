@@ -307,7 +307,8 @@ class Propagation(Rebuilt, ABC):
     def restore(self, snapshot: Snapshot) -> None:
         """Put the plant where it was when ``snapshot`` was taken, of this plant or of one made alike.
 
-        Raises ValueError for a snapshot of a plant of another scheme, with other inputs or another number of states.
+        Raises ValueError for a snapshot of a plant of another scheme, with other inputs or another number of states,
+        and for one whose tip is not where this one holds it.
         """
         if not isinstance(snapshot, Snapshot):
             raise ValueError(f"restore takes what snapshot() gave; got {type(snapshot).__name__}")
@@ -320,7 +321,10 @@ class Propagation(Rebuilt, ABC):
             raise ValueError(
                 f"the snapshot holds {len(snapshot.state)} states; the scene of this plant has {self.scene.n_states}"
             )
-        self._state = np.array(snapshot.state) if snapshot.state else None
+        state = np.array(snapshot.state) if snapshot.state else None
+        if state is not None and self.projection is not None:
+            self.projection.state(state, "the snapshot")
+        self._state = state
 
     def _started(self, x0: ArrayLike) -> Array:
         """A state to start from; where the tip is held, one that meets what is prescribed there."""

@@ -87,7 +87,7 @@ class Rod:
         object.__setattr__(self, "kinks", self._checked_kinks())
 
     def _checked_kinks(self) -> tuple[tuple[float, tuple[float, ...]], ...]:
-        ends, found = np.cumsum(self.elements)[:-1], []
+        ends, found = np.cumsum(self.elements)[:-1], list[tuple[float, tuple[float, ...]]]()
         try:
             pairs = [(float(place), vector) for place, vector in self.kinks]
         except (TypeError, ValueError):
@@ -100,6 +100,8 @@ class Rod:
             turn = finite_array(vector, f"Rod kinks at s = {place:g} m", (3,)).tolist()
             if self.strain_set.planar and (turn[0] or turn[2]):
                 raise ValueError("a planar rod turns in its plane only; kinks must be (s, (0, angle, 0))")
+            if any(abs(place - known) < 1e-9 * self.length for known, _ in found):
+                raise ValueError(f"Rod kinks has two at s = {place:g} m; give one rotation vector for both")
             if any(turn):
                 found.append((place, tuple(turn)))
         return tuple(found)

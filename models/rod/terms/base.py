@@ -62,7 +62,8 @@ class Base:
     def __post_init__(self) -> None:
         for name in _MOTION:
             object.__setattr__(self, name, checked_vector(getattr(self, name), f"Base {name}"))
-        if set(self.slides) - set("xyz") or len(set(self.slides)) < len(self.slides):
+        named = isinstance(self.slides, str) and len(set(self.slides)) == len(self.slides)
+        if not named or set(self.slides) - set("xyz"):
             raise ValueError(f"Base slides = {self.slides!r}; expected some of 'xyz', such as 'xy'")
         if isinstance(self.hinge, str) and self.hinge != "ball":
             raise ValueError(f"Base hinge = {self.hinge!r}; expected an axis such as (0, 1, 0), or 'ball'")

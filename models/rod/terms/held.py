@@ -53,7 +53,8 @@ class HeldTip:
                 object.__setattr__(self, item.name, checked_vector(value, f"HeldTip {item.name}"))
         if self.position is None and self.rotation is None:
             raise ValueError("HeldTip holds nothing; give a position, a rotation or both")
-        if not self.axes or set(self.axes) - set("xyz") or len(set(self.axes)) < len(self.axes):
+        named = isinstance(self.axes, str) and len(set(self.axes)) == len(self.axes) > 0
+        if not named or set(self.axes) - set("xyz"):
             raise ValueError(f"HeldTip axes = {self.axes!r}; expected some of 'xyz', such as 'xy'")
         if self.rotation is None and (self.spin != _ZERO or self.spin_rate != _ZERO):
             raise ValueError("HeldTip has a spin and no rotation; give the rotation that it turns from")
