@@ -105,7 +105,11 @@ def main() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = LinearEDMDc(theta, alpha="cv", penalty="ridge").fit(train)
-            tuned = tune(model, held, *here.limits, axes=here.axes, progress=False)
+            try:
+                tuned = tune(model, held, *here.limits, axes=here.axes, progress=False)
+            except ValueError as error:
+                tqdm.write(f"{name}: not tuned: {error}")
+                continue
         print(f"{name}\n{tuned}")
         plain = MPC(model, HORIZON, *here.limits, axes=here.axes)
         by_default, by_tuning = errors(here, plain), errors(here, tuned.mpc)
