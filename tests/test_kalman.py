@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,18 @@ def test_data_tell_the_noise_of_the_process_and_innovations_are_white() -> None:
     innovations = np.array(seen[50:])
     assert innovations.std() == pytest.approx(found.innovation_std[0], rel=0.1)
     assert abs(np.corrcoef(innovations[1:], innovations[:-1])[0, 1]) < 0.1
+
+
+def test_noise_of_recordings_is_no_noise_of_the_process() -> None:
+    data, rng = recorded(1.0), np.random.default_rng(4)
+    model = fitted(data=data)
+    tip = np.isin(np.arange(data.n_states), (data.outputs or {})["tip"])
+    seen = replace(data, xs=[x + 0.02 * tip * rng.standard_normal(x.shape) for x in data.xs])
+    exact = KalmanFilter(model, np.diag(PROCESS**2), 0.02, "tip")
+    right = KalmanFilter.from_data(model, seen, 0.02, "tip", noisy=True)
+    wrong = KalmanFilter.from_data(model, seen, 0.02, "tip")
+    assert abs(right.innovation_std[0] / exact.innovation_std[0] - 1.0) < 0.2
+    assert wrong.innovation_std[0] > 1.4 * exact.innovation_std[0]
 
 
 def loop(plant: Any, observer: KalmanFilter | None, model: LiftedModel, steps: int = 150, gain: float = 0.1) -> Any:

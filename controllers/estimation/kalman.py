@@ -16,6 +16,9 @@ from pisplit.lifted.model import LiftedModel
 DOUBLINGS, CONVERGED = 40, 1e-9
 #: Least noise of a measurement, in parts of the state's range: what is exact gets this.
 EXACT = 1e-6
+#: Part of the misses that is process noise at least; times them, from which on noise cannot have been in recordings;
+#: and part of the largest that tells of a direction.
+LEAST, ABSENT, RESOLVED = 0.1, 2.0, 1e-9
 #: Mean of |x| over its standard deviation of a normal variable, and the part of a step in the mean size of innovations.
 MEAN_SIZE, NEWEST = 0.8, 0.125
 #: Times their mean size for which an innovation counts at most.
@@ -51,6 +54,8 @@ class KalmanFilter:
     is in section 6.7.
     """
 
+    _noisy = False
+
     def __init__(
         self,
         model: LiftedModel | Fitted,
@@ -80,30 +85,43 @@ class KalmanFilter:
         std: ArrayLike | Mapping[str, float],
         measured: str | Sequence[int] | Sequence[str] | None = None,
         gate: float | None = 5.0,
+        noisy: bool = False,
     ) -> KalmanFilter:
         """The filter whose process noise is what the model misses in one step of recorded ``episodes``.
 
         model, std, measured, gate  as for the filter itself
         episodes                    recordings with the states and inputs of the model, found by name
+        noisy                       whether they were made with the noise ``std``: the model misses it twice a step, and
+                                    what it adds to the misses, which is none of the process, is taken off
 
-        Raises ValueError for episodes of other names, units or time step.
+        Raises ValueError for episodes of other names, units or time step, or too short for the model's delays.
         """
         found = model_of(model, "model")
         data = matched(found, episodes)
-        pairs = data.pairs(found.n_delays)
+        rows = state_indices(found, measured)
+        noise, rng = np.zeros(found.n_states), np.random.default_rng(0)
+        noise[rows] = _noise(found, rows, std)
         total = np.zeros((found.n_lifted, found.n_lifted))
-        for b in pairs.blocks():
-            past, now = b.u_history, b.u[:, None, :]
-            z = found.lift(b.x_history, past)
-            later = np.concatenate([b.x_history[:, 1:], b.x_next[:, None, :]], axis=1)
-            after = found.lift(later, np.concatenate([past, now], axis=1)[:, 1:] if found.n_delays else past)
-            missed = after - found.rollout(z, now).z[:, 1]
+        added, steps = np.zeros_like(total), 0
+        for x, u in zip(data.xs, data.us, strict=True):
+            if len(u) <= found.n_delays:
+                continue
+            missed = _missed(found, x, u)
             total += missed.T @ missed
-        return cls(found, total / len(pairs), std, measured, gate)
+            steps += len(missed)
+            if noisy:
+                more = _missed(found, x + noise * rng.standard_normal(x.shape), u) - missed
+                added += more.T @ more
+        if not steps:
+            raise ValueError(f"no episode is longer than the {found.n_delays} delays of the model: give longer ones")
+        process = (_without(total, added) if noisy else total) / steps
+        made = cls(found, 0.5 * (process + process.T), std, measured, gate)
+        made._noisy = noisy
+        return made
 
     def of_model(self, model: LiftedModel, episodes: Episodes) -> KalmanFilter:
         """A filter of another ``model`` with the same states, sensors and gate; process noise of its ``episodes``."""
-        return KalmanFilter.from_data(model, episodes, self._std, self.measured.tolist(), self.gate)
+        return KalmanFilter.from_data(model, episodes, self._std, self.measured.tolist(), self.gate, self._noisy)
 
     def innovation(self, predicted: Array, x: Array) -> Array:
         """y - C z - d (p,) of z = ``predicted`` (M,) and the state ``x`` (n,), NaN where it was not measured."""
@@ -159,6 +177,33 @@ def predicted_covariance(A: Array, C: Array, Q: Array, r: Array) -> Array:
         "the covariance of predictions grows without bound: the model has a mode that does not decay and that the "
         "measured states do not show; measure more, or bound the model with max_radius"
     )
+
+
+def _missed(model: LiftedModel, x: Array, u: Array) -> Array:
+    """What the model misses in a step (N, M) of the lifted states along ``x`` (T + 1, n) under ``u`` (T, m)."""
+    D = model.n_delays
+    at = np.arange(D, len(u))
+    z = model.lift(x[at[:, None] + np.arange(-D, 1)], u[at[:, None] + np.arange(-D, 0)])
+    after = model.lift(x[at[:, None] + np.arange(1 - D, 2)], u[at[:, None] + np.arange(1 - D, 1)])
+    return np.asarray(after - model.rollout(z, u[at][:, None]).z[:, 1])
+
+
+def _without(total: Array, added: Array) -> Array:
+    """``total`` (M, M) less what noise ``added`` (M, M) to it, direction by direction, down to a tenth of itself.
+
+    Directions in which noise of that size would have made far more than there is are left: it has no part in them, as
+    that of single entries of a frame.
+    """
+    size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    total, added = (m / size[:, None] / size for m in (total, added))
+    values, vectors = np.linalg.eigh(total)
+    seen = values > RESOLVED * values[-1]
+    root = vectors[:, seen] * np.sqrt(values[seen])
+    white = vectors[:, seen] / np.sqrt(values[seen])
+    noise, turned = np.linalg.eigh(white.T @ added @ white)
+    taken = root @ turned
+    kept = np.where(noise > ABSENT, 0.0, np.clip(noise, 0.0, 1.0 - LEAST))
+    return np.asarray((total - (taken * kept) @ taken.T) * size[:, None] * size)
 
 
 def _transition(model: LiftedModel) -> Array:
