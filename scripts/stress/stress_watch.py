@@ -52,7 +52,7 @@ class Case:
 
     def __init__(self, arm: TendonArm, size: float, noisy: bool, delays: int, seed: int) -> None:
         self.arm, self.size, self.noisy = arm, size, noisy
-        data = arm.record(RECORDED, seed=seed)
+        data = arm.record(RECORDED, seed=seed, dt=DT, progress=False)
         if noisy:
             rng = np.random.default_rng(seed)
             data = replace(data, xs=[seen_with_noise(x, np.array(data.units), NOISE, TURNED, rng) for x in data.xs])
