@@ -126,17 +126,15 @@ class _Rows:
             heard = steps.std(axis=0) > HEARD * noise / np.sqrt(size)
             if heard[moving].mean() > 0.5:
                 break
-        rows, where = [], []
         window = max(STATES, COMMANDS) + 1
-        for e, z in enumerate(binned):
-            for k in range(window - 1, len(z)):
-                rows.append(z[k - window + 1 : k + 1])
-                where.append((e, k * size))
-        if len(rows) < 4 * FEWEST:
+        ends = [(e, k) for e, z in enumerate(binned) for k in range(window - 1, len(z))]
+        if len(ends) < 4 * FEWEST:
             return None
-        keep = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), ROWS)).astype(int))
+        kept = [ends[i] for i in np.unique(np.linspace(0, len(ends) - 1, min(len(ends), ROWS)).astype(int))]
+        rows = np.array([binned[e][k - window + 1 : k + 1] for e, k in kept])
+        where = [(e, k * size) for e, k in kept]
         floor = np.maximum(1e-6 * x.std(axis=0), 0.5 * _digit(xs))
-        return cls(np.array(rows)[keep], n, [where[k] for k in keep], np.where(floor > 0.0, floor, 1.0))
+        return cls(rows, n, where, np.where(floor > 0.0, floor, 1.0))
 
     def parts(self) -> Iterator[slice]:
         """Parts to learn from: the first quarter, the last, the two halves, the middle; those with rows enough."""
