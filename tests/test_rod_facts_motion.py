@@ -283,9 +283,10 @@ def test_the_iteration_matrix_takes_inertia_as_a_dead_load() -> None:
         2,
         rod.Gravity(tuple(GRAVITY)),
         rod.KelvinVoigt(1e-2, 1e-2, 1.0, 1.0),
-        rod.LinearDrag(0.5),
+        rod.LinearDrag(5.0),
         rod.TipWrench(rod.Input("f", 3)),
     )
+    assert not rod.LinearDrag(5.0).weak(made.rod)  # weak drag is left out
     xi, xi_t, xi_tt = smooth(made, 6)
     n, u = made.n_strains, np.array([0.3, -0.2, 0.4])
     blocks = [np.asarray(b) for b in motion_residual(made).jacobian()(xi, xi_t, xi_tt, u, np.zeros(n))]
