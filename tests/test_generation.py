@@ -103,6 +103,15 @@ def test_episodes_start_from_rest_and_carry_the_states_of_the_simulator(arm: Ten
     assert np.ptp(episodes.xs[0][:, -24:-21], axis=0).max() > 0.01  # it moves by more than a centimetre
 
 
+def test_rates_of_strains_are_those_of_a_fine_run(arm: TendonArm, episodes: Episodes) -> None:
+    """Step by step, to 5e-4 of their spread: what is calibrated from pairs feels them."""
+    assert episodes.extra is not None
+    n, fine = arm.scene.n_strains, arm.scene.simulator(dt=DT, rtol=1e-8)
+    state, u = episodes.extra["state"][0], episodes.us[0]
+    missed = [fine.run(u[k : k + 1], state[k], check=False).x[-1] - state[k + 1] for k in range(0, STEPS, 4)]
+    assert np.sqrt(np.mean(np.square(missed)[:, n : 2 * n])) < 5e-4 * state[:, n : 2 * n].std()
+
+
 def test_the_seed_decides_the_data_and_the_number_of_workers_does_not(
     arm: TendonArm, episodes: Episodes, tmp_path: Path
 ) -> None:
