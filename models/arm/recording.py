@@ -34,8 +34,8 @@ LAWS = ("zero-sum", "independent")
 #: What moves an arm whose motion is recorded, the usual one first.
 METHODS = ("fast", "idas")
 IDAS_RTOL = 1e-5
-#: Large steps in a control interval: one keeps shapes to 1e-4 of their spread, rates of strains only to 1e-2; three keep
-#: both to 1e-4, as IDAS does at rtol 1e-4, in twice the time of one.
+#: Large steps in a control interval: one keeps shapes to 1e-4 of their spread, rates of strains only to 1e-2; three
+#: keep both to 1e-4, as IDAS does at rtol 1e-4, in twice the time of one.
 STEPS_PER_INTERVAL = 3
 NO_ACTUATOR = Actuator()
 #: Changes when the same arm is moved or identified differently, so that older data are not taken for new ones.

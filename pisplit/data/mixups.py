@@ -30,6 +30,8 @@ BINS, HEARD = (1, 2, 4, 8, 16), 10.0
 FEWEST, LEAST = 40, 0.08
 #: A change explains a part if residuals fall by this factor there, in the columns that it touches or all of them,
 FALLS = 3.0
+#: where a unit changes, by the ratio of the two units, or by this where that is larger,
+UNIT_FALLS = 6.0
 #: if they are then no more than so many times those of what was learned from,
 EXPLAINED = 3.0
 #: and if a map fitted to the part as it is mended predicts what was learned from better by that factor, too.
@@ -195,7 +197,7 @@ def _searched(data: _Rows, part: slice, n: int, names: Sequence[str]) -> _Found 
         return None
     z, interval = data.z, (0, len(data.z))
     texts: list[str] = []
-    turned = np.zeros(len(names), dtype=bool)
+    turned, scale = np.zeros(len(names), dtype=bool), 1.0
     for _ in range(TURNS):
         tried = []
         for change in _changes(n, names, texts):
@@ -212,10 +214,12 @@ def _searched(data: _Rows, part: slice, n: int, names: Sequence[str]) -> _Found 
         now = cost(z).sum(axis=1)
         texts.append(change.text)
         turned |= change.size < 0.0
+        scale = max(scale, float(np.abs(change.size).max()), float(1.0 / np.abs(change.size).min()))
         interval = (start, stop) if len(texts) == 1 else (max(interval[0], start), min(interval[1], stop))
     if not texts or interval[1] - interval[0] < FEWEST:
         return None
-    return _confirmed(data, z, slice(*interval), k, usual, ", ".join(texts), part, turned)
+    falls = max(FALLS, min(scale, UNIT_FALLS))
+    return _confirmed(data, z, slice(*interval), k, usual, ", ".join(texts), part, turned, falls)
 
 
 def _confirmed(
@@ -227,10 +231,11 @@ def _confirmed(
     text: str,
     part: slice,
     turned: NDArray[np.bool_],
+    least: float,
 ) -> _Found | None:
     """The part ``where`` as it is told, if what was learned explains it, and it explains what was learned.
 
-    ``turned`` (n + m,) are columns whose sign is.
+    ``turned`` (n + m,) are columns whose sign is; residuals fall by the factor ``least`` at least.
     """
     n_states = data.n
     size = [np.subtract(*np.quantile(z[:, -1], [0.95, 0.05], axis=0)) for z in (mended[part], mended[where])]
@@ -251,7 +256,7 @@ def _confirmed(
     before, after = residuals(data.z, k), residuals(mended, k)
     falls = before / np.maximum(after, 1e-12)
     worst = int(np.argmax(falls))
-    if falls[worst] < FALLS or after.max() > EXPLAINED * 3.0:
+    if falls[worst] < least or after.max() > EXPLAINED * 3.0:
         return None
     inner = slice(where.start + mended.shape[1], where.stop - mended.shape[1])  # histories that do not cross its edges
     b, truth = data.regression(mended[part])
@@ -259,7 +264,7 @@ def _confirmed(
     for z in (data.z, mended):
         backwards = _fitted(*data.regression(z[inner]))
         back.append(np.median(np.abs(truth - b @ backwards) / usual, axis=0))
-    if (back[0] / np.maximum(back[1], 1e-12)).max() < FALLS:
+    if (back[0] / np.maximum(back[1], 1e-12)).max() < least:
         return None
     return _Found(where.start, where.stop, text, float(falls[worst]))
 
