@@ -52,9 +52,8 @@ SHORTER = {
         "steps=120": "steps=40",
     },
     "README.md": {
-        "arm.record(10), arm.record(4, seed=1)": "arm.record(4, steps=60), arm.record(1, steps=60, seed=1)",
+        "arm.record(10), arm.record(4, seed=1)": "arm.record(6, steps=120), arm.record(1, steps=60, seed=1)",
         "arm=arm": "arm=arm, candidates=['L-EDMDc']",
-        "du_max=0.002)": "du_max=0.002, force=True)",  # what so little data give is refused
         "steps=400": "steps=20",
     },
     "docs/front.md": {
