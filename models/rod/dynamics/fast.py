@@ -264,13 +264,14 @@ class FastStepper(Stepper):
             over = errors > self.accuracy * self.scene.rod.length
             good = int(np.argmax(over)) if over.any() else good
             halves = int(over.any() and good == worst)
+        taken.misses = 0 if good else taken.misses
         taken.rows += list(states[:good])
         taken.errors += errors[:good].tolist()
         taken.steps += good * self.substeps
         if good == size or halves or self.substeps > 1:
             return good, None, halves
         if not corrections[good] <= CONVERGED:
-            taken.misses = 1 + (taken.misses if good == 0 else 0)
+            taken.misses += 1
             return good, None, 1
         taken.misses = 0
         return good, Step(states[good], float(defects[good])), 0
